@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 
-from storage_schema.ancestry import find_manifest, held_out
+from storage_schema.ancestry import find_manifest
 from storage_schema.credits import SourceCredit, merge_credits
-from storage_schema.croissant import describe_dataset
 from storage_schema.datasets import Dataset, add_dataset, check_names, datasets_with, digest_of, next_version
 from storage_schema.errors import DatasetExists, MissingArtifact, OlderSchema, StorageError
 from storage_schema.manifest import ArtifactRef, Manifest
@@ -91,8 +90,7 @@ def create_dataset(
 ) -> Dataset:
     """Return a list of artifacts a name and a version that never change.
 
-    Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card, and what
-    other programs know it by (`storage_schema.croissant`).
+    Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card.
 
     Raises:
         DatasetExists: This name and version are taken.
@@ -106,16 +104,15 @@ def create_dataset(
         raise StorageError(f"dataset '{name}': a dataset needs at least one artifact")
     sources = source_credits(store, *refs)
     digest = digest_of(refs, sources)
-    manifests = [store.manifest(ref) for ref in dict.fromkeys(refs)]
-    test = held_out(store, refs)
+    for ref in refs:
+        store.manifest(ref)
     store.prepare()
     while True:
         chosen = version or next_version(store, name)
         path = store.root / "datasets" / f"{name}@{chosen}"
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
         dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
-        described = describe_dataset(dataset, manifests, test)
-        if add_dataset(store, dataset, {**described, **(attachments or {})}):
+        if add_dataset(store, dataset, attachments or {}):
             return dataset
         if version is not None:
             raise DatasetExists(f"dataset {dataset.label} was already made and never changes; name another version")

@@ -44,12 +44,22 @@ class TableWriter:
         Raises:
             SchemaError: A column is missing, unknown, of another length, shape or kind.
         """
-        rows = encode(self._table, columns)
+        self.append_rows(encode(self._table, columns))
+
+    def append_rows(self, rows: pa.Table) -> None:
+        """Add rows that have the table's columns already."""
         self._waiting.append(rows)
         self._num_waiting += rows.num_rows
         self._num_rows += rows.num_rows
         while self._num_waiting >= ROW_GROUP_ROWS:
             self._write(ROW_GROUP_ROWS)
+
+    def write_group(self, rows: pa.Table) -> None:
+        """Add rows that have the table's columns as a row group of their own, however many they are."""
+        if self._num_waiting:
+            self._write(self._num_waiting)
+        self._parquet.write_table(rows.combine_chunks(), row_group_size=max(rows.num_rows, 1))
+        self._num_rows += rows.num_rows
 
     def finish(self) -> TableFile:
         """Write pending rows, sync the file to the disk, and return its description."""

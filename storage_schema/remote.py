@@ -166,14 +166,14 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store, *, is_
             place = _file_place(entry.sha256, is_old=is_old)
             if remote.fetch(place, staging.path / name) != entry.sha256:
                 raise CorruptArtifact(f"{remote.url}/{place} does not hold what its name says")
-        _check_ids(manifest, staging.path, f"{remote.url}, artifact {ref.stage}@{ref.key[:12]}")
+        check_ids(manifest, staging.path, f"{remote.url}, artifact {ref.stage}@{ref.key[:12]}")
         write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
         sync_folder(staging.path)
         store.put_in_place(staging, manifest)
     return True
 
 
-def _check_ids(manifest: Manifest, folder: Path, where: str) -> None:
+def check_ids(manifest: Manifest, folder: Path, where: str) -> None:
     """Refuse ids that are no plain names: files that are written of these rows are called after them."""
     found = [(name, value) for name, value in manifest.facts.items() if name.endswith("_id")]
     for table in manifest.tables:

@@ -54,9 +54,9 @@ _MAX_PLAYERS = 12
 _OF_PAIRS = ("draws", "seeds", "lifted_pairs", "in_betweens")
 
 
-def player_page(title: str, pictures: Sequence[Picture]) -> str:
-    """Return moving people as one HTML file that needs no other."""
-    return render("players.html", title=title, pictures=pictures)
+def player_page(title: str, pictures: Sequence[Picture], paragraphs: Sequence[str] = ()) -> str:
+    """Return moving people, below what is said of them, as one HTML file that needs no other."""
+    return render("players.html", title=title, pictures=pictures, paragraphs=paragraphs)
 
 
 @dataclass(frozen=True)

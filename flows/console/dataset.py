@@ -9,6 +9,7 @@ import typer
 from typer import Argument, Option
 
 from flows.console.context import JsonOption, StoreOption, answer, app, open_store
+from flows.dataset_folder import read_folder, write_folder
 from flows.planning import PlanError
 from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, mixture, read_last_run
@@ -129,6 +130,58 @@ def pull(
     """
     opened = open_store(store)
     dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
+    _say_moved(dataset, num_new, f"is in {opened}", as_json=as_json)
+
+
+@_group.command()
+def write(
+    label: _LabelArgument,
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder to write; one that has --since is updated.")],
+    since: Annotated[
+        str, Option("--since", metavar="NAME@V", help="Version that the folder has: write what is new.")
+    ] = "",
+    withhold: Annotated[
+        list[str] | None, Option("--withhold", metavar="SOURCE", help="Source that may not leave; may be given again.")
+    ] = None,
+    store: StoreOption = Path("store"),
+    as_json: JsonOption = False,
+) -> None:
+    """Write a version of a dataset as one folder that any tool opens: Parquet, a card, splits, figures, players.
+
+    \b
+      pasdedeux dataset write salsa@3 --out salsa
+      pasdedeux dataset write salsa@4 --out salsa --since salsa@3
+
+    What was rejected, or comes from a source that may not leave, is not in it.  Who was interrupted says the same
+    again.  `rerun FOLDER` builds it anew by its record.
+    """
+    opened = open_store(store)
+    with in_use(opened):
+        dataset = open_dataset(opened, label)
+        written = write_folder(opened, dataset, out, since=since, withheld=withhold or ())
+    files = written.manifest.files
+    size = f"{counted(len(files), 'file')}, {sum(one.bytes for one in files.values()) / 1e6:,.1f} MB"
+    new = f"{counted(len(written.new), 'data file')} of them new" if written.new else "no data file of them new"
+    described = {"name": dataset.name, "version": dataset.version, "folder": str(out), "new": written.new}
+    answer(
+        {**described, "left_out": written.left_out},
+        [f"{dataset.label} is in {out}: {size}, {new}", *written.left_out],
+        as_json=as_json,
+    )
+
+
+@_group.command()
+def read(
+    folder: Annotated[Path, Argument(metavar="FOLDER", help="Folder that `dataset write` made.")],
+    store: StoreOption = Path("store"),
+    as_json: JsonOption = False,
+) -> None:
+    """Bring a dataset's folder into a store, where it is as one that was made there.
+
+    Every file is digested on the way.
+    """
+    opened = open_store(store)
+    dataset, num_new = read_folder(folder, opened)
     _say_moved(dataset, num_new, f"is in {opened}", as_json=as_json)
 
 

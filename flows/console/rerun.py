@@ -20,6 +20,7 @@ from flows.console.context import (
 )
 from flows.console.display import outcome_lines
 from flows.console.run import build
+from flows.dataset_folder.reading import is_folder, read_recorded_folder, rebuild_folder
 from flows.differences import compare
 from flows.machine import cluster_settings
 from flows.outcomes import Run
@@ -28,13 +29,16 @@ from flows.reasons import shorten
 from flows.recorded import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
 from flows.study import study_from_record
 from pasdedeux.errors import InputError
-from storage_schema import in_use
+from storage_schema import Store, in_use
+from tasks.shards import ClusterSettings
 
 
 @app.command()
 def rerun(
     context: typer.Context,
-    name: Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run (`pasdedeux status`), or a dataset.")],
+    name: Annotated[
+        str, Argument(metavar="RUN|NAME@V|FOLDER", help="Id of a run (`pasdedeux status`), a dataset, or its folder.")
+    ],
     store: Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store to build in.")],
     source: Annotated[Path, Option("--from", metavar="DIR", help="Store with the record.")] = Path("store"),
     workers: WorkersOption = None,
@@ -51,8 +55,13 @@ def rerun(
     The study is the recorded one, with all its keys; input files must not have changed.  On one platform the bytes are
     the same.  If they are not, the output names the first table and column that differ by more than the tolerances of
     the data dictionary (exit code 1), and the differences of program, packages and processor.
+
+    A folder that `dataset write` made is written again from what is built, and compared file by file.
     """
     cluster = cluster_settings(workers, scheduler=scheduler, oversubscribe=oversubscribe)
+    if is_folder(name):
+        _rerun_folder(context, Path(name), open_store(store), cluster, as_json=as_json)
+        return
     origin, target = open_store(source), open_store(store)
     if origin.root.resolve() == target.root.resolve():
         raise PlanError(f"{store} is the store that has {name}; --store names another one, to build in")
@@ -82,6 +91,32 @@ def rerun(
     described = {"name": old.label, "run_id": outcome.run_id, **comparison.to_json()}
     answer({**described, "changes": changes, "warnings": warnings}, lines, as_json=as_json)
     if not comparison.is_same:
+        raise typer.Exit(1)
+
+
+def _rerun_folder(
+    context: typer.Context, folder: Path, target: Store, cluster: ClusterSettings, *, as_json: bool
+) -> None:
+    """Build a dataset's folder again by its record alone, in a store that has the dataset then."""
+    old = read_recorded_folder(folder)
+    study, graph = study_from_record(old.sections, old.stages, graph_of(context))
+    try:
+        _refuse_changed_files(old, make_plan(study, graph, target))
+    except InputError as error:
+        raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
+    outcome, _ = build(Run(study, graph, target), cluster, is_quiet=as_json)
+    named = tuple(ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts)
+    with in_use(target):
+        differing = rebuild_folder(folder, target, named)
+    changes = environment_changes(old.environment, read_environment(target, outcome.run_id))
+    words = f"same bytes: all files of {folder}" if not differing else f"other bytes: {', '.join(differing)}"
+    lines = [*outcome_lines(outcome), words]
+    lines += [
+        f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}" for what, (was, now) in changes.items()
+    ]
+    described = {"name": old.label, "run_id": outcome.run_id, "differing": differing, "changes": changes}
+    answer(described, lines, as_json=as_json)
+    if differing:
         raise typer.Exit(1)
 
 

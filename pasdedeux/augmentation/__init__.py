@@ -2,7 +2,7 @@
 
 from pasdedeux.augmentation.augment import Augmenter, Variant
 from pasdedeux.augmentation.settings import AugmentationSettings
-from pasdedeux.augmentation.source import Source, reference_motion, variant_rotations
+from pasdedeux.augmentation.source import Source, reference_motion, scaled_rest, variant_rotations
 from pasdedeux.augmentation.variations import LIMB_GROUPS, VariationSettings, make_variations, uniform_variations
 from pasdedeux.interaction.known_contacts import UserContact
 
@@ -16,6 +16,7 @@ __all__ = [
     "VariationSettings",
     "make_variations",
     "reference_motion",
+    "scaled_rest",
     "uniform_variations",
     "variant_rotations",
 ]

@@ -231,6 +231,10 @@ def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, sour
     num_people = positions_m.shape[1]
     if rest_m.shape != (num_people, BODY22.num_joints, 3):
         raise InputError(f"rest poses have shape {rest_m.shape}, expected ({num_people}, {BODY22.num_joints}, 3)")
+    return local_rotations(BODY22, scaled_rest(rest_m, bone_scale), positions_m, source_world_unitquat)
+
+
+def scaled_rest(rest_m: Array, bone_scale: Array) -> Array:
+    """Return rest poses (P, 22, 3), metres, with bones scaled by (P, 22), their roots where they were."""
     offsets = rest_m - rest_m[:, [max(parent, 0) for parent in BODY22.parents]]
-    rest = place_bones(BODY22, rest_m[:, BODY22.root], offsets, bone_scale)
-    return local_rotations(BODY22, rest, positions_m, source_world_unitquat)
+    return place_bones(BODY22, rest_m[:, BODY22.root], offsets, bone_scale)

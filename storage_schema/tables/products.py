@@ -111,6 +111,29 @@ CONTACTS = Table(
     ),
 )
 
+CLIPS = Table(
+    name="clips",
+    meaning="One row per take and variant in a dataset's folder: where it lies, its side, its bodies, its verdict; "
+    "`dataset write` makes it, it is in no store.",
+    sorted_by=("take_id", "variant_id"),
+    columns=(
+        text("clip_id", "The take, of a variant take/variant"),
+        TAKE_ID,
+        VARIANT_ID.with_meaning("Variant; null for a take", is_nullable=True),
+        text("split", "train, validation or test"),
+        text("file", "File with its positions: a part of `poses` or `variants`"),
+        integer("row_group", "Row group of that file that has them, and nothing else"),
+        integer("num_frames", "Frames"),
+        integer("num_people", "People"),
+        float64("rate_hz", "Frame rate", unit="Hz"),
+        text("verdict", "pass, warn, fail or not judged"),
+        VERDICT[1],
+        array("bone_scale", "Length of each bone beside the take's, (person, 22) flattened", dtype=pa.float64()),
+        array("rest_m", "Rest pose with these bones, root at the origin, (person, 22, 3) flattened", unit="m"),
+        float64("contact_rate", "Share of the frames in which a contact is held, of a variant those of its take"),
+    ),
+)
+
 _NAMED_ARRAY = (
     *MODEL_ID,
     text("array_name", "Name of the array"),

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import duckdb
@@ -16,7 +12,7 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from storage_schema import TABLES, Dataset, Store, create_dataset
+from storage_schema import TABLES, Store
 from storage_schema.arrow import Kind, column_kind
 from storage_schema.columns import Table
 from tests.builders.storage_rows import commit_rows, random_columns
@@ -113,88 +109,3 @@ def test_bytes_are_laid_out_as_the_design_says(files: dict[str, Path], name: str
             assert not column.has_dictionary_page
         if column.physical_type == "BYTE_ARRAY":
             assert column.has_dictionary_page
-
-
-READ = ("takes", "variant_quality")
-
-
-@pytest.fixture(scope="module")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """Publish two tables, one of them in two parts."""
-    store = Store(tmp_path_factory.mktemp("published"))
-    parts = (("takes", NUM_ROWS), ("variant_quality", NUM_ROWS), ("variant_quality", 20))
-    refs = [commit_rows(store, table, count, stage="ingest", partition=f"{table}{count}") for table, count in parts]
-    return create_dataset(store, "toys", refs)
-
-
-def test_a_published_version_says_in_croissant_which_files_and_columns_it_has(published: Dataset) -> None:
-    described = json.loads((published.path / "croissant.json").read_bytes())
-    assert described["conformsTo"] == "http://mlcommons.org/croissant/1.0"
-    assert (described["name"], described["version"]) == ("toys", "1")
-    assert described["license"] == [source.licence for source in published.sources]
-    files = [one for one in described["distribution"] if one["@type"] == "cr:FileObject"]
-    sets = {one["@id"]: one for one in described["distribution"] if one["@type"] == "cr:FileSet"}
-    assert set(sets) == set(READ)
-    for file in files:
-        data = (published.path / file["contentUrl"]).read_bytes()
-        assert (hashlib.sha256(data).hexdigest(), f"{len(data)} B") == (file["sha256"], file["contentSize"])
-    ids = [one["@id"] for one in described["distribution"]]
-    for record_set, table in zip(described["recordSet"], READ, strict=True):
-        assert [one["@id"] for one in sets[table]["containedIn"]] == [
-            name for name in ids if name.startswith(f"{table}-")
-        ]
-        found = [field["source"]["extract"]["column"] for field in record_set["field"]]
-        assert found == [column.name for column in TABLES[table].columns]
-        assert all(field["source"]["fileSet"]["@id"] == table for field in record_set["field"])
-        kinds = {name: field["dataType"] for name, field in zip(found, record_set["field"], strict=True)}
-        assert kinds["take_id"] == "sc:Text"
-        ids += [field["@id"] for field in record_set["field"]]
-    assert len(set(ids)) == len(ids)
-
-
-def test_pandas_polars_and_duckdb_load_a_published_version_from_its_folder(published: Dataset) -> None:
-    described = json.loads((published.path / "croissant.json").read_bytes())
-    files = [
-        str(published.path / one["contentUrl"])
-        for one in described["distribution"]
-        if one["@id"].startswith("variant_")
-        if one["@type"] == "cr:FileObject"
-    ]
-    names = [column.name for column in TABLES["variant_quality"].columns]
-    question = duckdb.sql("select * from read_parquet($files)", params={"files": files})
-    for found in (pd.read_parquet(files), pl.read_parquet(files), question.to_arrow_table()):
-        columns = getattr(found, "columns", None)
-        assert list(found.column_names if hasattr(found, "column_names") else columns) == names
-        assert len(found) == NUM_ROWS + 20
-
-
-def test_the_library_datasets_keeps_what_is_held_out_and_all_made_from_it_out_of_train(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
-    counts = {"waltz": 7, "hug": 11, "judo": 13}
-    takes = {
-        name: commit_rows(store, "takes", count, stage="ingest", partition=name, facts={"is_held_out": name == "hug"})
-        for name, count in counts.items()
-    }
-    variants = [
-        commit_rows(store, "variant_quality", count, stage="augmentation", partition=name, inputs=(takes[name],))
-        for name, count in (("waltz", 17), ("hug", 19), ("judo", 23))
-    ]
-    grandchild = commit_rows(store, "variant_quality", 29, stage="generation", inputs=(variants[1],))
-    only_test = commit_rows(store, "scores", 5, inputs=(grandchild, variants[0]))
-    published = create_dataset(store, "toys", [*takes.values(), *variants, grandchild, only_test])
-    script = (
-        "import sys, datasets\n"
-        "for table in ('takes', 'variant_quality', 'scores'):\n"
-        "    found = datasets.load_dataset(sys.argv[1], table)\n"
-        "    print(table, *(f'{split}={rows.num_rows}' for split, rows in sorted(found.items())))\n"
-        "    print(*next(iter(found.values())).column_names)\n"
-    )
-    offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache")}
-    command = [sys.executable, "-c", script, str(published.path)]
-    done = subprocess.run(command, env=os.environ | offline, capture_output=True, text=True, check=True, timeout=300)
-    lines = done.stdout.splitlines()
-    assert lines[::2] == ["takes test=11 train=20", "variant_quality test=48 train=40", "scores test=5"]
-    names = [
-        " ".join(column.name for column in TABLES[table].columns) for table in ("takes", "variant_quality", "scores")
-    ]
-    assert lines[1::2] == names

@@ -65,7 +65,8 @@ SECTIONS = {
     "Skipped, and why",
     "Sources and licences",
 }
-FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits", "selected_pairs", "contacts"}
+MADE = {"selected_pairs", "contacts", "clips"}
+FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits", *MADE}
 """The study has no object, no model that is trained in several segments, and no take that priors are learned from;
 selected pairs are in files alone."""
 RATE_HZ = 12.0

@@ -65,3 +65,17 @@ def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
             assert set(death["artifacts"]) <= set(expected["artifacts"]), step
         assert death["latest"] in ({"record": ["old", "new"]}.get(action, [None])), step
         assert set(death["datasets"]) <= set(expected["datasets"]), step
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["fresh", "update"])
+def test_a_folder_of_a_dataset_that_was_killed_while_it_was_written_is_the_same_after_the_same_command(
+    tmp_path: Path, kind: str
+) -> None:
+    command = [sys.executable, "-m", "tests.builders.folder_killer", kind, str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=900)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["exit"] == 0
+    assert found["deaths"] > 10
+    assert found["differing"] == []

@@ -42,10 +42,7 @@ def test_a_run_whose_verdicts_do_not_fail_becomes_a_version_of_all_it_made(
     (made,) = versions(study)
     assert {ref.stage for ref in made.refs} == set(TOYS.names)
     assert json.loads((made.path / "study.json").read_text())["publish"]["name"] == "released"
-    assert {path.name for path in made.path.iterdir()} == {
-        *("dataset.json", "study.json", "environment.json"),
-        *("croissant.json", "README.md"),
-    }
+    assert {path.name for path in made.path.iterdir()} == {"dataset.json", "study.json", "environment.json"}
 
 
 def test_nothing_new_makes_no_new_version(study: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,275 @@
+"""What goes into a dataset's folder: artifacts that may leave, rows that nobody rejected, and the side they are on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from flows.planning import PlanError
+from pasdedeux.plain_text import counted
+from storage_schema import ArtifactRef, Dataset, Manifest, Store, lineage
+from storage_schema.ancestry import held_out
+from storage_schema.datasets import digest_of
+from storage_schema.parquet_files import ROW_GROUP_ROWS
+from tasks.curation import content_columns, recorded_choices, rejected_names, rejections, rows_without
+from tasks.facts import Facts, SequenceFacts, TakeFacts, VariantFacts
+from tasks.sides import SPLITS, Side, SplitName, take_sides
+
+Ranges = tuple[tuple[int, int], ...]
+_FORBIDS = re.compile(
+    r"not stated|\b(no|not|without|forbid\w*|prohibit\w*)\b.{0,20}\bre-?distribut|all rights reserved|internal use",
+    re.I,
+)
+"""Words of a licence that lets nothing leave; so does one that is not stated."""
+_OF_VARIANTS = ("variants", "variant_quality", "variant_frames")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows of an artifact's part of a table that become one row group, of about so many bytes; `clip` names a clip."""
+
+    table: str
+    split: SplitName
+    ref: ArtifactRef
+    rows: Ranges
+    num_bytes: float
+    clip: str = ""
+
+    @property
+    def num_rows(self) -> int:
+        """Number of rows."""
+        return sum(stop - start for start, stop in self.rows)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What goes into a folder.
+
+    Args:
+        dataset: The dataset as it leaves: artifacts and sources that may.
+        manifests: All artifacts that leave, what it was computed from too, by place in their stage; without times.
+        groups: Their rows.
+        sides: The side of each take.
+        left_out: What is left out, in sentences.
+    """
+
+    dataset: Dataset
+    manifests: tuple[Manifest, ...]
+    groups: tuple[Group, ...]
+    sides: Mapping[str, Side]
+    left_out: tuple[str, ...]
+
+    def with_table(self, table: str) -> list[Manifest]:
+        """Return the artifacts that hold a part of a table."""
+        return [manifest for manifest in self.manifests if table in manifest.tables]
+
+
+def find_contents(
+    store: Store, dataset: Dataset, *, withheld: Collection[str] = (), known: Mapping[str, Side] | None = None
+) -> Contents:
+    """Return what of a dataset may leave, and all of that which it was computed from.
+
+    Left out is what came from a source whose licence forbids it, is not stated, or that is `withheld`; takes that fail
+    and what a person rejected; and all that was computed from such a source, take or sequence.  The evaluation shows
+    everything, so it stays here where anything is left out.
+
+    Args:
+        store: The store.
+        dataset: The version.
+        withheld: Names of sources that stay.
+        known: Sides that takes have already.
+
+    Raises:
+        PlanError: No such source is withheld, or nothing may leave.
+        MissingArtifact: Something is no longer whole in the store.
+    """
+    names = {source.name for source in dataset.sources}
+    if unknown := sorted(set(withheld) - names):
+        raise PlanError(f"{dataset.label} has no source '{unknown[0]}'; its sources are {', '.join(sorted(names))}")
+    staying = [one for one in dataset.sources if one.name in withheld or _FORBIDS.search(one.licence)]
+    steps = lineage(store, *dataset.refs)
+    every = {step.ref: store.manifest(step.ref) for step in steps}  # what lies under two keys leaves once
+    choices = recorded_choices(dataset.path)
+    tables = {about.partition(" ")[0] for about in choices}
+    rejected = {table: _rejected(store, every.values(), table, rejections(choices, table)) for table in tables}
+    forbidden = {one.name for one in staying}
+    roots = {
+        ref
+        for ref, one in every.items()
+        if not forbidden.isdisjoint(source.name for source in one.sources) or _is_rejected(one, rejected)
+    }
+    out = _with_descendants(roots, every)
+    failed = {ref for ref, one in every.items() if one.facts.get("kind") == "take" and "poses" not in one.tables}
+    trimmed = {table: found for table, found in rejected.items() if found}
+    if out or failed or trimmed:
+        out |= failed | {ref for ref in every if ref.stage == "evaluation"}
+    kept = sorted(
+        (one for ref, one in every.items() if ref not in out), key=lambda one: (one.ref.stage, one.partition, one.name)
+    )
+    is_held = {TakeFacts.of(one).take_id: TakeFacts.of(one).is_held_out for one in kept if _is_take(one)}
+    sides = take_sides(dict(sorted(is_held.items())), known=known)
+    tested = {(stage, digest) for stage, _, digest in held_out(store, dataset.refs)}
+    manifests: list[Manifest] = []
+    groups: list[Group] = []
+    for one in kept:
+        split = _side_of(one, sides, is_held_out=(one.ref.stage, one.ref.content_digest) in tested)
+        rows = _kept_rows(store, one, rejected)
+        if one.tables and not any(rows.values()):
+            continue
+        manifests.append(_as_it_leaves(store, one, rows, rejected))
+        groups += [group for table in rows for group in _groups(store, one, table, rows[table], split)]
+    if not groups:
+        reasons = "; ".join(f"{one.name} (licence: {one.licence})" for one in staying) or "everything is rejected"
+        raise PlanError(
+            f"nothing of {dataset.label} may leave: {reasons}; a source has `licence` and `credit` in its study"
+        )
+    there = {one.ref: one.ref for one in manifests}
+    refs = tuple(there[ref] for ref in dict.fromkeys(dataset.refs) if ref in there)
+    sources = tuple(one for one in dataset.sources if one not in staying)
+    words = [f"Source {one.name} stays, its licence: {one.licence}." for one in staying]
+    words += [f"Takes whose capture fails: {len(failed)}."] if failed else []
+    words += [f"Rejected by a person, of {table}: {len(found)}." for table, found in sorted(trimmed.items())]
+    words += [f"Artifacts that stay for that: {counted(len(every) - len(there), 'artifact')}."] if words else []
+    left = replace(dataset, refs=refs, sources=sources, digest=digest_of(refs, sources))
+    return Contents(left, tuple(manifests), tuple(groups), sides, tuple(words))
+
+
+def cut(batches: Iterable[Any], groups: Sequence[Group]) -> Iterator[Any]:
+    """Yield the rows of each group, which rise, of batches of rows (`pyarrow.Table`) that follow each other."""
+    import pyarrow as pa
+
+    coming, held, first = iter(batches), None, 0
+    for group in groups:
+        parts = []
+        for start, stop in group.rows:
+            while held is None or first + held.num_rows < stop:
+                if held is not None and first < start:
+                    gone = min(start - first, held.num_rows)
+                    held, first = held.slice(gone), first + gone
+                new = next(coming)
+                held = new if held is None else pa.concat_tables([held, new])
+            parts.append(held.slice(start - first, stop - start))
+        yield parts[0] if len(parts) == 1 else pa.concat_tables(parts)
+
+
+def _is_take(manifest: Manifest) -> bool:
+    return "poses" in manifest.tables
+
+
+def _rejected(store: Store, manifests: Iterable[Manifest], table: str, named: Mapping[str, str]) -> Collection[str]:
+    """Return the names of what is rejected of a table, whose content is still what was rejected."""
+    columns = content_columns(table)
+    parts = (one.ref for one in manifests if table in one.tables)
+    return rejected_names(named, (rows for ref in parts for rows in store.iter_batches(ref, table, columns=columns)))
+
+
+def _is_rejected(manifest: Manifest, rejected: Mapping[str, Collection[str]]) -> bool:
+    """Tell whether this holds a take or a sequence that was rejected."""
+    takes, sequences = rejected.get("poses", ()), rejected.get("annotations", ())
+    if _is_take(manifest) and takes:
+        return TakeFacts.of(manifest).take_id in takes
+    is_seen = "annotations" in manifest.tables and bool(sequences)
+    return is_seen and not set(SequenceFacts.of(manifest).sequence_ids).isdisjoint(sequences)
+
+
+def _with_descendants(roots: set[ArtifactRef], every: Mapping[ArtifactRef, Manifest]) -> set[ArtifactRef]:
+    """Return these artifacts and all that was computed from them."""
+    found, before = set(roots), -1
+    while len(found) != before:
+        before = len(found)
+        found |= {ref for ref, one in every.items() if not found.isdisjoint(one.inputs)}
+    return found
+
+
+def _side_of(manifest: Manifest, sides: Mapping[str, Side], *, is_held_out: bool) -> SplitName:
+    """Return the split of an artifact: the last one of those of the takes that it shows or was made from."""
+    takes = [TakeFacts.of(manifest).take_id] if _is_take(manifest) else Facts.of(manifest).takes
+    found = [SPLITS.index(sides[take].split) for take in takes if take in sides]
+    return "test" if is_held_out else SPLITS[max(found, default=0)]
+
+
+def _variant_ids(store: Store, manifest: Manifest) -> list[str]:
+    """Return the names of the variants of a batch, take/variant, in the order of their rows."""
+    take_id = VariantFacts.of(manifest).take_id
+    ids = store.read(manifest.ref, "variant_quality", columns=["variant_id"])["variant_id"]
+    return [f"{take_id}/{name}" for name in ids]
+
+
+def _kept_rows(store: Store, manifest: Manifest, rejected: Mapping[str, Collection[str]]) -> dict[str, Ranges]:
+    """Return the rows that leave of each table of an artifact; of variants those of each by itself."""
+    facts = VariantFacts.of(manifest) if "variants" in manifest.tables else None
+    found: dict[str, Ranges] = {}
+    for table, part in manifest.tables.items():
+        if facts is not None and table in _OF_VARIANTS:
+            names = _variant_ids(store, manifest)
+            size = part.rows // max(len(names), 1)
+            left = [at for at, name in enumerate(names) if name not in rejected.get("variants", ())]
+            found[table] = tuple((at * size, at * size + size) for at in left)
+        elif rejected.get(table):
+            batches = store.iter_batches(manifest.ref, table, columns=content_columns(table))
+            found[table] = _ranges(batches, rejected[table])
+        else:
+            found[table] = ((0, part.rows),) if part.rows else ()
+    return found
+
+
+def _ranges(batches: Iterable[Any], names: Collection[str]) -> Ranges:
+    first, kept = 0, [np.zeros(0, dtype=np.int64)]
+    for batch in batches:
+        kept.append(first + rows_without(batch, names))
+        first += batch.num_rows
+    rows = np.concatenate(kept)
+    breaks = [0, *(np.flatnonzero(np.diff(rows) != 1) + 1).tolist(), len(rows)]
+    return tuple((int(rows[a]), int(rows[b - 1]) + 1) for a, b in pairwise(breaks) if b > a)
+
+
+def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: SplitName) -> Iterator[Group]:
+    """Yield the row groups of a table of an artifact: a clip each, else the rest of the artifact's in pieces."""
+    part = manifest.tables[table]
+    each = part.bytes / max(part.rows, 1)
+    if table == "variants":
+        names = _variant_ids(store, manifest)
+        for own in rows:
+            size = own[1] - own[0]
+            yield Group(table, split, manifest.ref, (own,), each * size, names[own[0] // size])
+        return
+    clip = TakeFacts.of(manifest).take_id if table == "poses" else ""
+    most = part.rows if clip else ROW_GROUP_ROWS
+    group: list[tuple[int, int]] = []
+    for start, stop in rows:
+        while start < stop:
+            room = most - sum(b - a for a, b in group)
+            group.append((start, min(stop, start + room)))
+            start = group[-1][1]
+            if sum(b - a for a, b in group) == most:
+                yield Group(table, split, manifest.ref, tuple(group), each * most, clip)
+                group = []
+    if group:
+        yield Group(table, split, manifest.ref, tuple(group), each * sum(b - a for a, b in group), clip)
+
+
+def _as_it_leaves(
+    store: Store, manifest: Manifest, rows: Mapping[str, Ranges], rejected: Mapping[str, Collection[str]]
+) -> Manifest:
+    """Return the manifest without times; of an artifact of which rows stay also without what may name or show them."""
+    left = replace(manifest, timings={}, created_at="")
+    if all(sum(stop - start for start, stop in rows[table]) == part.rows for table, part in manifest.tables.items()):
+        return left
+    names = _variant_ids(store, manifest) if "variants" in manifest.tables else ()
+    staying = {name.partition("/")[2] for name in names if name in rejected["variants"]}
+    facts, parameters = _without(manifest.facts, staying), _without(manifest.parameters, staying)
+    return replace(left, facts=facts, parameters=parameters, attachments={}, reads=None, digest="")
+
+
+def _without(value: Any, names: Collection[str]) -> Any:
+    """Return JSON values without these texts in lists, and without these keys."""
+    if isinstance(value, Mapping):
+        return {name: _without(one, names) for name, one in value.items() if name not in names}
+    if isinstance(value, list | tuple):
+        return [_without(one, names) for one in value if not isinstance(one, str) or one not in names]
+    return value

@@ -1,0 +1,135 @@
+"""Croissant metadata of a dataset's folder (MLCommons Croissant 1.1 with its RAI extension): a record set a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from flows.dataset_folder.layout import FolderFile
+from storage_schema import TABLES, Dataset
+from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.columns import Column
+
+_TERMS = (
+    "annotation arrayShape citeAs column containedIn data dataBiases dataCollection equivalentProperty examples "
+    "excludes extract field fileObject fileProperty fileSet format includes isArray isLiveDataset jsonPath key md5 "
+    "parentField path readLines recordSet references regex repeated replace samplingRate sdVersion separator source "
+    "subField transform unArchive value"
+)
+_CONTEXT = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "conformsTo": "dct:conformsTo",
+    **{term: f"cr:{term}" for term in _TERMS.split()},
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+}
+_PARQUET = "application/x-parquet"
+_TYPES = {
+    pa.float32(): "cr:Float32",
+    pa.float64(): "cr:Float64",
+    pa.int32(): "cr:Int32",
+    pa.int64(): "cr:Int64",
+    pa.bool_(): "sc:Boolean",
+    pa.string(): "sc:Text",
+}
+ABOUT = {
+    "dataCollection": "Motion of two people or more, from motion capture, from video, or made by closed-form "
+    "choreography; each source is named with its licence and credit. Variants are computed: the same interaction for "
+    "bodies of other sizes.",
+    "dataCollectionType": ["Observations", "Software Collection"],
+    "dataCollectionMissingData": "NaN in arrays, null in single values; joints that nobody saw are marked as such.",
+    "dataPreprocessingProtocol": [
+        "Takes are brought to metres, Y up, one rate and one floor; working skeletons are derived from its own.",
+        "The record folder holds the study, with every parameter, and the artifacts that were computed.",
+    ],
+    "dataAnnotationProtocol": "Contacts are found from the distances of capsules on bones, or stated by the study; "
+    "verdicts come from the figures of each clip, whose limits the study states.",
+    "machineAnnotationTools": ["pasdedeux"],
+    "dataUseCases": ["Training and testing of models of human motion in close contact: animation, vision, robotics."],
+    "dataLimitations": [
+        "Motion capture is least reliable where people touch. Variants are as good as their column `verdict` says.",
+        "A validation or test split of few takes says little of other interactions.",
+    ],
+    "dataBiases": ["Few takes, performers and kinds of interaction; bodies of variants are scaled, not captured."],
+    "personalSensitiveInformation": [
+        "Movement of people, without names or images; it may tell one person from another."
+    ],
+    "dataSocialImpact": "Makes motion in contact available without new capture; it can be used to imitate performers.",
+    "dataReleaseMaintenancePlan": "A version never changes; a new one lists what is new. The record rebuilds each.",
+}
+"""Properties of responsible AI that hold for every dataset."""
+
+
+def croissant(dataset: Dataset, description: str, files: Mapping[str, FolderFile]) -> dict[str, Any]:
+    """Return the metadata of a folder with these data files."""
+    tables = sorted({name.split("/")[1] for name in files})
+    licences = list(dict.fromkeys(source.licence for source in dataset.sources))
+    return {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
+        "name": dataset.name,
+        "version": dataset.version if dataset.version.count(".") == 2 else f"{dataset.version}.0.0",
+        "description": description,
+        "license": licences,
+        "url": f"https://mlcommons.org/croissant/#{dataset.name}",
+        "creator": [{"@type": "sc:Organization", "name": source.name} for source in dataset.sources],
+        "citeAs": "; ".join(dict.fromkeys(source.credit for source in dataset.sources)),
+        "datePublished": dataset.created_at,
+        **{f"rai:{name}": said for name, said in ABOUT.items()},
+        "distribution": [_file_object(name, file) for name, file in files.items()]
+        + [_file_set(name) for name in tables],
+        "recordSet": [_record_set(table) for table in tables],
+    }
+
+
+def _file_object(name: str, file: FolderFile) -> dict[str, Any]:
+    return {
+        "@type": "cr:FileObject",
+        "@id": name,
+        "name": name,
+        "contentUrl": name,
+        "encodingFormat": _PARQUET,
+        "contentSize": f"{file.bytes} B",
+        "sha256": file.sha256,
+    }
+
+
+def _file_set(table: str) -> dict[str, Any]:
+    """Return the files of a table: without `containedIn` they lie in the folder itself."""
+    includes = f"data/{table}/*.parquet"
+    return {"@type": "cr:FileSet", "@id": table, "name": table, "encodingFormat": _PARQUET, "includes": includes}
+
+
+def _record_set(table: str) -> dict[str, Any]:
+    return {
+        "@type": "cr:RecordSet",
+        "@id": f"{table}-rows",
+        "name": f"{table}-rows",
+        "description": TABLES[table].meaning,
+        "field": [_field(table, column) for column in TABLES[table].columns],
+    }
+
+
+def _field(table: str, column: Column) -> dict[str, Any]:
+    kind = column_kind(column)
+    shape: Sequence[int] = column.shape if kind is Kind.FIXED else (-1,)
+    axes = f" ({' x '.join(map(str, column.shape))}: {', '.join(column.axes)})" if column.shape else ""
+    is_array = kind in (Kind.FIXED, Kind.VARYING, Kind.TEXT_LIST)
+    return {
+        "@type": "cr:Field",
+        "@id": f"{table}-rows/{column.name}",
+        "name": f"{table}-rows/{column.name}",
+        "description": f"{column.meaning}{f', {column.unit}' if column.unit else ''}{axes}",
+        "dataType": _TYPES[value_type(column)],
+        "source": {"fileSet": {"@id": table}, "extract": {"column": column.name}},
+        **({"isArray": True, "arrayShape": ",".join(map(str, shape))} if is_array else {}),
+    }

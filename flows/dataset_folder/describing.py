@@ -1,0 +1,248 @@
+"""What describes a dataset's folder: card, Croissant metadata, splits, skeletons, licences, the record, the page."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import yaml
+
+from flows.dataset_folder.contents import Contents
+from flows.dataset_folder.croissant import ABOUT, croissant
+from flows.dataset_folder.layout import RECORD, SPLITS_FILE, FolderFile
+from flows.exports.credits import write_credits
+from flows.recorded import portable_files
+from flows.records import ENVIRONMENT_FILE
+from flows.templates import render
+from pasdedeux.plain_text import counted
+from pasdedeux.skeletons import WORKING_SKELETONS
+from pasdedeux.spread import evenly_spread
+from storage_schema import TABLES, Dataset, Manifest, Store
+from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.columns import Column
+from storage_schema.datasets import DATASET_FILE
+from storage_schema.durable import make_folder, write_file
+from storage_schema.keys import json_file
+from storage_schema.runs import STUDY_FILE
+from tasks.data import Clip, player_page
+from tasks.facts import TakeFacts
+from tasks.sides import SPLITS
+from tasks.takes import take_of
+
+ARTIFACTS_FILE, PAGE = "artifacts.json", "index.html"
+_MAX_PLAYERS = 12
+_HUB_LICENCES = {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0"}
+"""Licences that a card names by these ids; others have a name and a file."""
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
+
+
+def describe(
+    store: Store, contents: Contents, files: Mapping[str, FolderFile], stats: Mapping[str, Any], folder: Path
+) -> None:
+    """Write what describes the data files of a folder.
+
+    Args:
+        store: The store that they come from.
+        contents: What they hold.
+        files: The data files, by their names in the folder.
+        stats: What `stats.json` has.
+        folder: The folder.
+    """
+    dataset = contents.dataset
+    columns = ["clip_id", "take_id", "variant_id", "split", "verdict", "num_frames"]
+    parts = sorted(folder.glob("data/clips/*"))
+    clips = [clip for part in parts for clip in pq.read_table(part, columns=columns).to_pylist()]
+    clips.sort(key=lambda clip: (SPLITS.index(clip["split"]), clip["take_id"], clip["variant_id"] or ""))
+    splits = _splits(contents, clips)
+    counts = ", ".join(f"{counted(splits['num_clips'][split], 'clip')} to {split}" for split in splits["num_clips"])
+    what = (
+        dataset.note
+        if dataset.note and not dataset.note.startswith("run ")
+        else f"Motion of people in contact: {counts}."
+    )
+    texts: dict[str, bytes] = {
+        "stats.json": json_file(stats),
+        SPLITS_FILE: json_file(splits),
+        "skeletons.json": json_file(
+            {name: {"joint_names": one.joint_names, "parents": one.parents} for name, one in WORKING_SKELETONS.items()}
+        ),
+        "croissant.json": json_file(croissant(dataset, what, files)),
+        "README.md": _card(contents, files, what, splits, clips).encode(),
+        PAGE: player_page(dataset.label, _pictures(store, contents, clips), _lines(contents, what, clips)).encode(),
+        **_licences(dataset),
+        **{f"{RECORD}/{name}": data for name, data in _record(contents).items()},
+    }
+    for name, data in texts.items():
+        make_folder((folder / name).parent)
+        write_file(folder / name, data)
+    for one in contents.manifests:
+        for name, entry in one.attachments.items():
+            target = folder / attachment_name(one, name)
+            make_folder(target.parent)
+            shutil.copyfile(store.data_file(one.ref, name, entry), target)
+    write_credits(dataset.sources, dataset.refs, dataset.label, folder)
+
+
+def attachment_name(manifest: Manifest, name: str) -> str:
+    """Return the name in a folder of a file that an artifact has beside its tables, such as a report."""
+    return f"{RECORD}/files/{manifest.ref.stage}-{manifest.ref.content_digest[:16]}/{name}"
+
+
+def _splits(contents: Contents, clips: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what `splits.json` has."""
+    there = [split for split in SPLITS if any(clip["split"] == split for clip in clips)]
+    own = {split: [clip for clip in clips if clip["split"] == split] for split in there}
+    return {
+        "by": "take",
+        "takes": {name: asdict(side) for name, side in contents.sides.items()},
+        "num_clips": {split: len(found) for split, found in own.items()},
+        "num_frames": {split: sum(clip["num_frames"] for clip in found) for split, found in own.items()},
+    }
+
+
+def _card(
+    contents: Contents,
+    files: Mapping[str, FolderFile],
+    what: str,
+    splits: Mapping[str, Any],
+    clips: list[dict[str, Any]],
+) -> str:
+    """Return the card: what the Hub and the library `datasets` read on top, then what people read."""
+    dataset = contents.dataset
+    tables: dict[str, dict[str, list[FolderFile]]] = {}
+    for name, file in files.items():
+        tables.setdefault(name.split("/")[1], {}).setdefault(Path(name).name.split("-")[0], []).append(file)
+    default = next(name for name in ("variants", "poses", "clips", *tables) if name in tables)
+    order = sorted(tables, key=lambda name: (name != default, name))
+    rows = {name: sum(file.rows for own in tables[name].values() for file in own) for name in order}
+    licences = {source.licence for source in dataset.sources}
+    known = next(iter(licences)).lower() if len(licences) == 1 else ""
+    other = {"license_name": "see-licenses", "license_link": "CREDITS.txt"}
+    head = {
+        "pretty_name": dataset.label,
+        "license": known if known in _HUB_LICENCES else "other",
+        **({} if known in _HUB_LICENCES else other),
+        "task_categories": ["other"],
+        "tags": ["human-motion", "motion-capture", "interaction", "contact", "3d-pose", "pasdedeux"],
+        "size_categories": [next((name for size, name in _SIZES if rows[default] < size), "10M<n<100M")],
+        "configs": [
+            {
+                "config_name": table,
+                **({"default": True} if table == default else {}),
+                "data_files": [
+                    {"split": s, "path": f"data/{table}/{s}-*.parquet"} for s in SPLITS if s in tables[table]
+                ],
+            }
+            for table in order
+        ],
+        "dataset_info": [_info(table, tables[table]) for table in order],
+    }
+    takes = Counter(side.split for side in contents.sides.values())
+    num_clips, num_frames = splits["num_clips"], splits["num_frames"]
+    return render(
+        "dataset_card.md",
+        head=yaml.safe_dump(head, sort_keys=False, allow_unicode=True),
+        dataset=dataset,
+        description=what,
+        code_version=contents.manifests[0].code_version,
+        splits={s: {"takes": takes[s], "clips": num_clips[s], "frames": f"{num_frames[s]:,}"} for s in num_clips},
+        tables=rows,
+        meaning={name: TABLES[name].meaning for name in rows},
+        default=default,
+        verdicts=dict(sorted(Counter(clip["verdict"] for clip in clips).items())),
+        left_out=contents.left_out,
+        limitations=[*ABOUT["dataLimitations"], *ABOUT["dataBiases"]],
+    )
+
+
+def _info(table: str, files: Mapping[str, list[FolderFile]]) -> dict[str, Any]:
+    """Return the features and sizes of a table as the library `datasets` has them."""
+    sizes = {split: sum(file.bytes for file in files[split]) for split in SPLITS if split in files}
+    return {
+        "config_name": table,
+        "features": [_feature(column) for column in TABLES[table].columns],
+        "splits": [
+            {"name": split, "num_bytes": size, "num_examples": sum(file.rows for file in files[split])}
+            for split, size in sizes.items()
+        ],
+        "download_size": sum(sizes.values()),
+        "dataset_size": sum(sizes.values()),
+    }
+
+
+def _feature(column: Column) -> dict[str, Any]:
+    kind = str(value_type(column))
+    kind = {"float": "float32", "double": "float64"}.get(kind, kind)
+    if column_kind(column) in (Kind.FIXED, Kind.VARYING, Kind.TEXT_LIST):
+        length = {"length": column.type.list_size} if column_kind(column) is Kind.FIXED else {}
+        return {"name": column.name, "list": kind, **length}
+    return {"name": column.name, "dtype": kind}
+
+
+def _licences(dataset: Dataset) -> dict[str, bytes]:
+    """Return the licences of the sources as files: of this program's the text, of others what was said of them."""
+    found = {}
+    for licence in dict.fromkeys(source.licence for source in dataset.sources):
+        name = licence if re.fullmatch(r"[A-Za-z0-9.+-]{1,40}", licence) else f"LicenseRef-{_plain(licence)}"
+        of = "".join(f"{one.name}\n  {one.credit}\n" for one in dataset.sources if one.licence == licence)
+        text = (_own_licence() if licence == "Apache-2.0" else "") or f"{licence}\n"
+        found[f"LICENSES/{name}.txt"] = f"{text}\nLicence of:\n\n{of}".encode()
+    return found
+
+
+def _plain(text: str) -> str:
+    return "-".join(re.findall("[A-Za-z0-9]+", text)).lower()[:60] or "unnamed"
+
+
+def _own_licence() -> str:
+    """Return the text of the licence of this program, Apache-2.0; empty where it is not installed."""
+    try:
+        return distribution("pasdedeux").read_text("licenses/LICENSE") or ""
+    except PackageNotFoundError:
+        return ""
+
+
+def _record(contents: Contents) -> dict[str, bytes]:
+    """Return what the dataset is built again by: study and environment as they travel, its list, its artifacts."""
+    dataset = contents.dataset
+    files = portable_files(dataset.path)
+    there = {name: files[name] for name in (STUDY_FILE, ENVIRONMENT_FILE) if name in files}
+    artifacts = {"artifacts": [json.loads(one.to_json()) for one in contents.manifests]}
+    return there | {DATASET_FILE: dataset.to_json(), ARTIFACTS_FILE: json_file(artifacts)}
+
+
+def _lines(contents: Contents, what: str, clips: list[dict[str, Any]]) -> list[str]:
+    """Return the sentences of the page."""
+    verdicts = Counter(clip["verdict"] for clip in clips)
+    return [
+        what,
+        "Verdicts: " + ", ".join(f"{verdict} {count:,}" for verdict, count in sorted(verdicts.items())) + ".",
+        *(f"From {one.name}: {one.licence}. {one.credit}" for one in contents.dataset.sources),
+        f"Some of the {len(clips):,} clips, evenly spread; contacts are green.",
+    ]
+
+
+def _pictures(store: Store, contents: Contents, clips: list[dict[str, Any]]) -> list[Any]:
+    """Return players of some clips, evenly spread."""
+    takes = {TakeFacts.of(one).take_id: one for one in contents.with_table("poses")}
+    batches = {group.clip: group.ref for group in contents.groups if group.table == "variants"}
+    pictures = []
+    for at in evenly_spread(len(clips), _MAX_PLAYERS):
+        clip = clips[at]
+        source = Clip(clip["take_id"], takes[clip["take_id"]], store)
+        if clip["variant_id"] is not None:
+            manifest = store.manifest(batches[clip["clip_id"]])
+            names = store.read(manifest.ref, "variant_quality", columns=["variant_id"])["variant_id"]
+            name, index = f"{clip['take_id']}, {clip['variant_id']}", list(names).index(clip["variant_id"])
+            take = store.manifest(take_of(store, manifest.ref))
+            source = Clip(name, take, store, Clip(clip["take_id"], take, store), manifest, index, clip["verdict"])
+        pictures.append(source.picture)
+    return pictures

@@ -1,0 +1,226 @@
+"""Brings a dataset's folder into a store, and builds it again from its record."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from flows.dataset_folder.contents import find_contents
+from flows.dataset_folder.describing import ARTIFACTS_FILE, attachment_name
+from flows.dataset_folder.layout import RECORD, FolderManifest, read_manifest, read_sides
+from flows.dataset_folder.writing import fill, plan_files
+from flows.planning import PlanError
+from flows.recorded import Recorded
+from flows.records import ENVIRONMENT_FILE
+from storage_schema import TABLES, ArtifactRef, CorruptArtifact, Dataset, Manifest, Store, in_use, source_credits
+from storage_schema.arrow import arrow_schema
+from storage_schema.credits import merge_credits
+from storage_schema.datasets import DATASET_FILE, add_dataset, dataset_from_json, digest_of, open_dataset
+from storage_schema.durable import sync_folder, write_errors, write_file
+from storage_schema.errors import DatasetExists
+from storage_schema.keys import file_sha256
+from storage_schema.manifest import MANIFEST_NAME
+from storage_schema.parquet_files import TableWriter
+from storage_schema.remote import check_ids
+from storage_schema.runs import STUDY_FILE
+from storage_schema.staging import StagingFolder
+
+_Place = tuple[str, int]
+"""A data file and the number of a row group in it."""
+
+
+def is_folder(name: str) -> bool:
+    """Tell whether this is the path of a dataset's folder."""
+    return read_manifest(Path(name)) is not None
+
+
+def read_folder(folder: Path, store: Store) -> tuple[Dataset, int]:
+    """Bring a dataset's folder into a store.
+
+    An artifact that is whole in the folder has the bytes that it had; one of which rows were left out, or an input, is
+    another there, with a key and a digest of its own.
+
+    Returns:
+        The dataset in the store, and the number of artifacts that were new there.
+
+    Raises:
+        PlanError: It is no folder of a dataset.
+        CorruptArtifact: A file is not what the manifest says, or the store has other bytes under a key.
+        DatasetExists: The store has another dataset of this name and version.
+        FullDisk: There is no room left.
+    """
+    manifest = _checked(folder)
+    listed, files = read_record(folder)
+    artifacts = _artifacts(folder)
+    path = store.root / "datasets" / manifest.label
+    store.prepare()
+    parts = _parts_of(manifest)
+    known: dict[ArtifactRef, ArtifactRef] = {}
+    num_new = 0
+    with in_use(store):
+        for one in _in_order(artifacts):
+            known[one.ref], is_new = _bring(one, known, parts, folder, store)
+            num_new += is_new
+        refs = tuple(known[ref] for ref in listed.refs)
+        dataset = replace(listed, refs=refs, digest=digest_of(refs, listed.sources), path=path)
+        if not add_dataset(store, dataset, files) and open_dataset(store, dataset.label).digest != dataset.digest:
+            raise DatasetExists(f"the store {store} has another {dataset.label} already, which never changes")
+    return dataset, num_new
+
+
+def read_record(folder: Path) -> tuple[Dataset, dict[str, bytes]]:
+    """Return the list of a folder's dataset, and the files that go with it by name: the study, the environment."""
+    record = folder / RECORD
+    listed = dataset_from_json((record / DATASET_FILE).read_bytes, record)
+    return listed, {
+        name: (record / name).read_bytes() for name in (STUDY_FILE, ENVIRONMENT_FILE) if (record / name).is_file()
+    }
+
+
+def read_recorded_folder(folder: Path) -> Recorded:
+    """Return what is on record of a folder's dataset; PlanError where its study is not."""
+    listed, files = read_record(folder)
+    if missing := [name for name in (STUDY_FILE, ENVIRONMENT_FILE) if name not in files]:
+        raise PlanError(f"{folder / RECORD / missing[0]} is not there, so the dataset cannot be built again")
+    artifacts = {(one.ref.stage, one.partition, one.name): one for one in _artifacts(folder)}
+    named = frozenset(ref.stage for ref in listed.refs)
+    sections, environment = (json.loads(files[name]) for name in (STUDY_FILE, ENVIRONMENT_FILE))
+    return Recorded(listed.label, sections, environment, artifacts, named, listed.sources)
+
+
+def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) -> list[str]:
+    """Write a folder again from artifacts that were built anew, and return the names of the files that differ.
+
+    Afterwards the store has the dataset of this name and version.
+
+    Raises:
+        DatasetExists: It has another already.
+    """
+    manifest = _checked(folder)
+    listed, files = read_record(folder)
+    names = {source.name for source in listed.sources}
+    sources = merge_credits(listed.sources, (one for one in source_credits(store, *refs) if one.name not in names))
+    path = store.root / "datasets" / listed.label
+    dataset = replace(listed, refs=refs, sources=sources, digest=digest_of(refs, sources), path=path)
+    if not add_dataset(store, dataset, files) and open_dataset(store, dataset.label).digest != dataset.digest:
+        raise DatasetExists(f"the store {store} has another {dataset.label} already; --store names another one")
+    contents = find_contents(store, dataset, withheld=manifest.withheld, known=read_sides(folder))
+    with closing(StagingFolder(store.staging_root)) as staging:
+        again = fill(
+            store, contents, plan_files(contents, manifest), staging.path / "again", withheld=manifest.withheld
+        )
+    every = sorted({*manifest.files, *again.files})
+    return [name for name in every if _sha256(manifest, name) != _sha256(again, name)]
+
+
+def _sha256(manifest: FolderManifest, name: str) -> str:
+    return manifest.files[name].sha256 if name in manifest.files else ""
+
+
+def _checked(folder: Path) -> FolderManifest:
+    """Return the manifest of a folder whose files are what it says."""
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise PlanError(f"{folder} is no folder of a dataset; `pasdedeux dataset write` writes one")
+    for name, file in manifest.files.items():
+        try:
+            is_same = (folder / name).stat().st_size == file.bytes and file_sha256(folder / name) == file.sha256
+        except OSError:
+            is_same = False
+        if not is_same:
+            raise CorruptArtifact(f"{folder / name} is missing, or is not what the manifest of the folder says")
+    return manifest
+
+
+def _artifacts(folder: Path) -> list[Manifest]:
+    """Return the manifests of a folder's artifacts."""
+    path = folder / RECORD / ARTIFACTS_FILE
+    try:
+        listed = json.loads(path.read_bytes())["artifacts"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CorruptArtifact(f"{path} cannot be read: {error!r}") from error
+    return [Manifest.from_json(json.dumps(values).encode(), where=str(path)) for values in listed]
+
+
+def _read_group(folder: Path, table: str, place: _Place) -> Any:
+    """Return the rows of a row group.
+
+    Raises:
+        CorruptArtifact: It cannot be read, or has other columns than this program declares.
+    """
+    try:
+        with pq.ParquetFile(folder / place[0]) as file:
+            return file.read_row_group(place[1], use_threads=False).cast(arrow_schema(TABLES[table]))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise CorruptArtifact(f"{folder / place[0]} cannot be read: {error}") from error
+
+
+def _in_order(artifacts: list[Manifest]) -> Iterator[Manifest]:
+    """Yield artifacts after those that they were computed from."""
+    waiting = {one.ref: one for one in artifacts}
+    while waiting:
+        ready = [one for one in waiting.values() if waiting.keys().isdisjoint(one.inputs)]
+        if not ready:
+            raise CorruptArtifact("the artifacts of the folder were computed from each other in a circle")
+        yield from ready
+        for one in ready:
+            del waiting[one.ref]
+
+
+def _parts_of(manifest: FolderManifest) -> dict[tuple[str, str, str], list[_Place]]:
+    """Return where the rows of each artifact's part of a table lie, in their order: by stage, content and table."""
+    found = defaultdict[tuple[str, str, str], list[tuple[Any, _Place]]](list)
+    for name, file in manifest.files.items():
+        for number, (stage, digest, rows) in enumerate(file.parts):
+            if rows:
+                found[stage, digest, name.split("/")[1]].append((rows, (name, number)))
+    return {key: [place for _, place in sorted(places)] for key, places in found.items()}
+
+
+def _bring(
+    recorded: Manifest,
+    known: Mapping[ArtifactRef, ArtifactRef],
+    parts: Mapping[tuple[str, str, str], list[_Place]],
+    folder: Path,
+    store: Store,
+) -> tuple[ArtifactRef, bool]:
+    """Put an artifact of a folder into a store, and tell whether it was not there."""
+    inputs = tuple(known[ref] for ref in recorded.inputs if ref in known)
+    with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
+        tables = {}
+        for table in recorded.tables:
+            writer = TableWriter(staging.path / f"{table}.parquet", TABLES[table])
+            for place in parts.get((recorded.ref.stage, recorded.ref.content_digest, table), ()):
+                writer.append_rows(_read_group(folder, table, place))
+            tables[table] = writer.finish()
+        for name in recorded.attachments:
+            if Path(name).name != name:
+                raise CorruptArtifact(f"{folder} names an attachment '{name}' that is none")
+            shutil.copyfile(folder / attachment_name(recorded, name), staging.path / name)
+        one = replace(recorded, tables=tables, inputs=inputs)
+        if one != recorded or [ref.key for ref in inputs] != [ref.key for ref in recorded.inputs]:
+            one = replace(one, digest="")
+        if one.computed_digest != recorded.ref.content_digest or inputs != recorded.inputs:
+            key = hashlib.sha256(f"{recorded.ref.key} {one.computed_digest}".encode()).hexdigest()
+            one = replace(one, ref=ArtifactRef(one.ref.stage, key, one.computed_digest), reads=None)
+        check_ids(one, staging.path, str(folder))
+        there = store.find(*one.ref.place)
+        if there is not None:
+            if there.ref != one.ref:
+                raise CorruptArtifact(
+                    f"the store {store} has other bytes for artifact {one.ref.stage}@{one.ref.key[:12]}"
+                )
+            return there.ref, False
+        write_file(staging.path / MANIFEST_NAME, one.to_json().encode())
+        sync_folder(staging.path)
+        return store.put_in_place(staging, one), True

@@ -1,0 +1,410 @@
+"""Writes a dataset's folder: its Parquet files, each whole or not there, what describes them, and the manifest last.
+
+All of it grows in `.NAME.part` beside the folder, whose place it takes in one step.  Who is interrupted leaves whole
+files there, and the same command goes on after them.  An update links the files that stay.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.dataset_folder.contents import Contents, Group, cut, find_contents
+from flows.dataset_folder.describing import describe
+from flows.dataset_folder.layout import (
+    MANIFEST,
+    FolderFile,
+    FolderManifest,
+    PartKey,
+    read_manifest,
+    read_sides,
+)
+from flows.dataset_folder.statistics import contact_figures, figures_of_motions
+from flows.machine import usable_cores
+from flows.planning import PlanError
+from pasdedeux.augmentation import scaled_rest
+from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
+from storage_schema import TABLES, ArtifactRef, Dataset, Manifest, Store, canonical_json
+from storage_schema.durable import exchange, locked_file, make_folder, sync_folder, write_errors, write_file
+from storage_schema.encoding import encode
+from storage_schema.keys import file_sha256
+from storage_schema.parquet_files import TableWriter, iter_table
+from storage_schema.version import SCHEMA_VERSION
+from tasks.contacts import ContactRows
+from tasks.facts import PeopleFacts, TakeFacts
+from tasks.judgements import verdict_of
+from tasks.sides import SPLITS
+from tasks.takes import read_rest, read_take, take_of
+
+FILE_BYTES = 100_000_000
+"""Size of a data file, about: a file ends with the row group that reaches it."""
+_CONTACT_BYTES = 400
+"""Of a frame of a take, about."""
+_MOTIONS = ("poses", "variants")
+_PART = ".part"
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """A data file: its name, its row groups, and its name in the folder where it stands there already."""
+
+    name: str
+    groups: tuple[Group, ...]
+    before: str = ""
+
+    @property
+    def table(self) -> str:
+        """Return the table that it is a part of."""
+        return self.groups[0].table
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written: the folder's manifest, the names of the files that are new, what was left out, in sentences."""
+
+    manifest: FolderManifest
+    new: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def write_folder(
+    store: Store, dataset: Dataset, out: Path, *, since: str = "", withheld: Collection[str] = ()
+) -> Written:
+    """Write a version of a dataset as a folder, or what is new in one that has another version.
+
+    Args:
+        store: The store.
+        dataset: The version.
+        out: The folder: not there yet, empty, or one that has the version `since`, which it takes the place of.
+        since: Version that the folder has, `name@version`; its data files stay as far as all rows of them do.
+        withheld: Names of sources that stay here.
+
+    Raises:
+        PlanError: The folder has something else, or nothing may leave.
+        MissingArtifact, CorruptArtifact: Something is not whole in the store, or the folder.
+        FullDisk: There is no room left.
+    """
+    out = out.absolute()
+    part, aside = out.with_name(f".{out.name}{_PART}"), out.with_name(f".{out.name}.old")
+    if aside.is_dir() and not out.exists():
+        aside.rename(out)
+    there = read_manifest(out)
+    if since and there is None:
+        raise PlanError(f"{out} has no dataset that could be brought up to date; leave --since away")
+    if there is not None and there.label not in (since, dataset.label):
+        raise PlanError(f"{out} has {there.label}; `--since {there.label}` updates it, --out names another folder")
+    if there is None and out.is_dir() and any(out.iterdir()):
+        raise PlanError(f"{out} is not empty and no folder of a dataset; --out names another one")
+    staying = set(withheld) | {one.name for one in dataset.sources if there and one.name in there.withheld}
+    with _alone(out), write_errors(out.parent):
+        contents = find_contents(store, dataset, withheld=staying, known=read_sides(out) if there else None)
+        if there is not None and (there.label, there.digest) == (dataset.label, contents.dataset.digest):
+            _clear(part, out)
+            return Written(there, (), contents.left_out)
+        if there is not None and there.label == dataset.label:
+            raise PlanError(f"{out} has another {there.label}, which never changes; --out names another folder")
+        files = plan_files(contents, there)
+        manifest = fill(store, contents, files, part, kept=out if there else None, withheld=sorted(staying))
+        for begun in part.glob(f"*{_PART}"):
+            begun.unlink()
+        if not out.exists():
+            part.rename(out)
+        elif not exchange(part, out):
+            out.rename(aside)
+            part.rename(out)
+            aside.rename(part)
+        sync_folder(out.parent)
+        _clear(part, out)
+    return Written(manifest, tuple(file.name for file in files if not file.before), contents.left_out)
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """Let nobody else write this folder in a block."""
+    with locked_file(out, fcntl.LOCK_EX):
+        try:
+            yield
+        finally:
+            out.with_name(f".{out.name}.lock").unlink(missing_ok=True)
+
+
+def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFile]:
+    """Divide row groups into files: those of before all of whose groups are still there, then new ones of 100 MB."""
+    places = defaultdict[tuple[str, str], dict[PartKey, Group]](dict)
+    for group in contents.groups:
+        places[group.table, group.split][key_of(group)] = group
+        if group.table == "poses":
+            num_bytes = _CONTACT_BYTES * group.num_rows
+            made = Group("contacts", group.split, group.ref, (), num_bytes, group.clip)
+            places["contacts", group.split][key_of(made)] = made
+    files = []
+    for (table, split), groups in sorted(places.items()):
+        start = f"data/{table}/{split}-"
+        kept = [
+            (name, file.parts)
+            for name, file in (before.files if before else {}).items()
+            if name.startswith(start) and groups.keys() >= set(file.parts)
+        ]
+        parts = [(name, [groups.pop(key) for key in keys]) for name, keys in kept]
+        for group in groups.values():
+            if not parts or parts[-1][0] or sum(one.num_bytes for one in parts[-1][1]) >= FILE_BYTES:
+                parts.append(("", []))
+            parts[-1][1].append(group)
+        files += [
+            DataFile(f"{start}{number:05}-of-{len(parts):05}.parquet", tuple(own), name)
+            for number, (name, own) in enumerate(parts)
+        ]
+    return files
+
+
+def key_of(group: Group) -> PartKey:
+    """Return what a row group is of."""
+    return group.ref.stage, group.ref.content_digest, group.rows
+
+
+def fill(
+    store: Store,
+    contents: Contents,
+    files: Sequence[DataFile],
+    part: Path,
+    *,
+    kept: Path | None = None,
+    withheld: Sequence[str] = (),
+) -> FolderManifest:
+    """Fill a folder with a dataset, the manifest last; whole files that an interrupted call has left there stay.
+
+    Args:
+        store: The store.
+        contents: What goes there.
+        files: The data files.
+        part: The folder.
+        kept: Folder that has those files which are there already, by their names `before`; None to write them too.
+        withheld: Names of sources that stay, for the record.
+    """
+    plan = [contents.dataset.label, contents.dataset.digest, SCHEMA_VERSION]
+    plan += [[file.name, file.before, [key_of(one) for one in file.groups]] for file in files]
+    digest = hashlib.sha256(canonical_json(plan)).hexdigest()
+    begun = part / f"{digest}{_PART}"
+    if not begun.is_file():
+        shutil.rmtree(part, ignore_errors=True)
+        make_folder(part)
+        write_file(begun, b"")
+    if (done := read_manifest(part)) is not None:
+        return done
+    for path in [*part.iterdir(), part / "data" / "clips"]:  # all but whole data files is written anew
+        if path.is_dir() and path.name != "data":
+            shutil.rmtree(path)
+        elif path.is_file() and path != begun:
+            path.unlink()
+
+    def write(file: DataFile) -> str:
+        path = part / file.name
+        if not path.is_file():
+            make_folder(path.parent)
+            if file.before and kept is not None:
+                try:
+                    os.link(kept / file.before, path)
+                except OSError:  # another file system, or one without links
+                    _copy(kept / file.before, path)
+            else:
+                _write_whole(path, file, store)
+        return file_sha256(path)
+
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        digests = dict(zip([file.name for file in files], pool.map(write, files), strict=True))
+    described = {
+        file.name: FolderFile(
+            (part / file.name).stat().st_size,
+            digests[file.name],
+            _num_rows(part / file.name),
+            tuple(key_of(one) for one in file.groups),
+        )
+        for file in files
+    }
+    described |= _write_clips(store, contents, files, part)
+    stats = _statistics(contents, files, part)
+    describe(store, contents, described, stats, part)
+    others = (path for path in sorted(part.rglob("*")) if path.is_file() and path != begun)
+    named = {str(path.relative_to(part)): path for path in others}
+    plain = {name: FolderFile(path.stat().st_size, file_sha256(path)) for name, path in named.items()}
+    dataset = contents.dataset
+    done = FolderManifest(
+        dataset.name, dataset.version, dataset.digest, tuple(withheld), dict(sorted((plain | described).items()))
+    )
+    for folder in {path.parent for path in named.values()}:
+        sync_folder(folder)
+    write_file(part / f".{MANIFEST}", done.to_json())
+    (part / f".{MANIFEST}").replace(part / MANIFEST)
+    return done
+
+
+def _write_whole(path: Path, file: DataFile, store: Store) -> None:
+    """Write a data file, which has its name when it is whole."""
+    growing = path.with_name(f".{path.name}")
+    growing.unlink(missing_ok=True)
+    writer = TableWriter(growing, TABLES[file.table])
+    try:
+        for ref, own in groupby(file.groups, key=lambda group: group.ref):
+            groups = list(own)
+            if file.table == "contacts":
+                writer.write_group(_contacts_of(store, ref))
+                continue
+            batches = (batch.rows for batch in store.iter_batches(ref, file.table))
+            for rows in cut(batches, groups):
+                writer.write_group(rows)
+        writer.finish()
+    except BaseException:
+        writer.abandon()
+        raise
+    growing.replace(path)
+    sync_folder(path.parent)
+
+
+def _contacts_of(store: Store, ref: ArtifactRef) -> Any:
+    """Return the contacts of a take as rows."""
+    facts = TakeFacts.of(store.manifest(ref))
+    found = ContactRows.of(read_take(store, ref).source, facts.contacts)
+    count = len(found.frame)
+    rows = {"origin": ["poses"] * count, "take_id": [facts.take_id] * count, "time_s": found.frame / facts.rate_hz}
+    return encode(TABLES["contacts"], rows | found.columns())
+
+
+def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, FolderFile]:
+    """Write the table of clips, and return its files."""
+    manifests = {one.ref: one for one in contents.manifests}
+    rates = {take: len(np.unique(frames)) for take, frames, _ in _held_contacts(files, part)}
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for file in files:
+        numbered = groupby(enumerate(file.groups), key=lambda one: one[1].ref) if file.table in _MOTIONS else ()
+        for ref, groups in numbered:
+            facts, bodies = PeopleFacts.of(manifests[ref]), _bodies_of(store, manifests[ref])
+            for number, group in groups:
+                row: dict[str, Any] = {
+                    "clip_id": group.clip,
+                    "split": group.split,
+                    "file": file.name,
+                    "row_group": number,
+                }
+                row |= {"num_frames": facts.num_frames, "num_people": facts.num_persons, "rate_hz": facts.rate_hz}
+                row |= bodies[group.clip]
+                row["contact_rate"] = rates.get(row["take_id"], 0) / max(facts.num_frames, 1)
+                rows.setdefault(group.split, []).append(row)
+    described = {}
+    for split, own in rows.items():
+        own.sort(key=lambda row: (row["take_id"], row["variant_id"] or ""))
+        name = f"data/clips/{split}-00000-of-00001.parquet"
+        make_folder((part / name).parent)
+        writer = TableWriter(part / name, TABLES["clips"])
+        writer.append({column: [row[column] for row in own] for column in own[0]})
+        table = writer.finish()
+        described[name] = FolderFile(table.bytes, table.sha256, table.rows)
+    return described
+
+
+def _bodies_of(store: Store, manifest: Manifest) -> dict[str, dict[str, Any]]:
+    """Return of each clip of an artifact whose it is, how long their bones are, and what was thought of it."""
+    if "variants" not in manifest.tables:
+        take_id, rest, verdict = TakeFacts.of(manifest).take_id, read_rest(store, manifest.ref), verdict_of(manifest)
+        said = (Level.NOT_JUDGED.value, "") if verdict is None else (verdict.level.value, verdict.reason)
+        scales = [(take_id, None, np.ones(rest.shape[:2]), *said)]
+    else:
+        rest = read_rest(store, take_of(store, manifest.ref))
+        quality = store.read(manifest.ref, "variant_quality")
+        columns = (quality[name] for name in ("take_id", "variant_id", "bone_scale", "verdict", "reason"))
+        scales = list(zip(*columns, strict=True))
+    return {
+        "/".join(filter(None, (take_id, variant_id))): {
+            "take_id": take_id,
+            "variant_id": variant_id,
+            "verdict": verdict,
+            "reason": reason,
+            "bone_scale": np.ravel(scale),
+            "rest_m": scaled_rest(rest, np.reshape(scale, rest.shape[:2])).ravel(),
+        }
+        for take_id, variant_id, scale, verdict, reason in scales
+    }
+
+
+def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str, Any, Any]]:
+    """Yield of each take the frames in which something is held, and the bone of body22 that is (n,), by both sides."""
+    names = {name: at for at, name in enumerate(BODY22.joint_names)}
+    for file in files:
+        for group, rows in zip(file.groups, _row_groups(part, file), strict=True) if file.table == "contacts" else ():
+            held = np.asarray(rows["is_held"])
+            frame = np.tile(np.asarray(rows["frame"])[held], 2)
+            bones = np.concatenate([rows["bone"][held], rows["partner_bone"][held]])
+            bone = np.array([names.get(one, -1) for one in bones], dtype=np.int64)
+            yield group.clip, frame, bone
+
+
+def _row_groups(part: Path, file: DataFile, columns: Sequence[str] | None = None) -> Iterator[Any]:
+    return iter_table(part / file.name, TABLES[file.table], columns=columns)
+
+
+def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, Any]:
+    """Return what `stats.json` has: figures by split, table and column."""
+    manifests = {one.ref: one for one in contents.manifests}
+    found: dict[str, Any] = {}
+
+    def motions(own: Sequence[DataFile]) -> Iterator[tuple[Any, float]]:
+        for file in own:
+            for group, rows in zip(file.groups, _row_groups(part, file, ["body22_m"]), strict=True):
+                facts = PeopleFacts.of(manifests[group.ref])
+                shape = (facts.num_frames, facts.num_persons)
+                positions = np.asarray(rows["body22_m"], dtype=np.float64)
+                if file.table == "poses":  # person by person
+                    positions = positions.reshape(*shape[::-1], *positions.shape[1:]).swapaxes(0, 1)
+                yield positions.reshape(*shape, *positions.shape[-2:]), facts.rate_hz
+
+    for split in SPLITS:
+        for table in _MOTIONS:
+            own = [file for file in files if (file.table, file.groups[0].split) == (table, split)]
+            num_rows = sum(group.num_rows for file in own for group in file.groups)
+            if own:
+                found.setdefault(split, {})[table] = figures_of_motions(motions(own), num_rows)
+        touched = [file for file in files if (file.table, file.groups[0].split) == ("contacts", split)]
+        held = {}
+        for take, frame, bone in _held_contacts(touched, part):
+            pairs = np.unique(np.stack([frame, bone]), axis=1)[1]
+            held[take] = np.bincount(pairs[pairs >= 0], minlength=BODY22.num_joints).astype(np.float64)
+        if touched:
+            takes = [manifests[group.ref] for file in touched for group in file.groups]
+            num_frames = {TakeFacts.of(one).take_id: TakeFacts.of(one).num_frames for one in takes}
+            found[split]["poses"]["contact_rate"] = contact_figures(held, num_frames)
+    return found
+
+
+def _num_rows(path: Path) -> int:
+    import pyarrow.parquet as pq
+
+    return int(pq.read_metadata(path).num_rows)
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file, which has its name when it is whole."""
+    growing = target.with_name(f".{target.name}")
+    shutil.copyfile(source, growing)
+    growing.replace(target)
+
+
+def _clear(part: Path, out: Path) -> None:
+    """Remove the folder that was there before; what others have put into it stays in the new one."""
+    if (old := read_manifest(part)) is not None:
+        ours = {Path(name).parts[0] for name in old.files} | {MANIFEST}
+        for path in part.iterdir():
+            if path.name not in ours and not (out / path.name).exists():
+                path.rename(out / path.name)
+    shutil.rmtree(part, ignore_errors=True)

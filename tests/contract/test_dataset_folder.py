@@ -1,0 +1,310 @@
+"""A dataset's folder: other people's readers open it, nothing that stays here is in it, and it comes back whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+from datasets import Features
+from huggingface_hub import DatasetCard
+
+from flows.console.app import run_command_line
+from flows.dataset_folder import read_folder, write_folder
+from flows.dataset_folder.layout import read_manifest
+from flows.planning import PlanError
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import BODY22
+from storage_schema import TABLES, CorruptArtifact, SourceCredit, Store, open_table, verify
+from storage_schema.arrow import arrow_schema
+from storage_schema.datasets import open_dataset
+from storage_schema.keys import file_sha256
+from tasks.curation import content_of
+from tasks.data import Data
+from tests.builders.stored_datasets import VARIANTS, put_dataset
+
+TAKES = {"hug": False, "judo": False, "waltz": True}
+SECRET = SourceCredit("secret", "Internal use only; no redistribution", "nobody")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    store = Store(tmp_path_factory.mktemp("made") / "store")
+    put_dataset(store, TAKES)
+    return store
+
+
+@pytest.fixture(scope="module")
+def folder(store: Store, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("written") / "made-1"
+    write_folder(store, open_dataset(store, "made@1"), out)
+    return out
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {str(one.relative_to(folder)): file_sha256(one) for one in sorted(folder.rglob("*")) if one.is_file()}
+
+
+def splits_of(folder: Path, table: str) -> dict[str, int]:
+    found = sorted((folder / "data" / table).glob("*.parquet"))
+    return {one.name.split("-")[0]: pq.read_metadata(one).num_rows for one in found}
+
+
+def test_mlcroissant_reads_every_record_set(folder: Path) -> None:
+    script = (
+        "import json, sys, warnings\n"
+        "warnings.simplefilter('ignore')\n"
+        "import mlcroissant as mlc\n"
+        "dataset = mlc.Dataset(sys.argv[1])\n"
+        "assert not dataset.metadata.issues.errors, dataset.metadata.issues.report()\n"
+        "assert dataset.metadata.ctx.is_v1_1() and dataset.metadata.data_limitations\n"
+        "found = {one.id: sum(1 for _ in dataset.records(one.id)) for one in dataset.metadata.record_sets}\n"
+        "fields = [field for one in dataset.metadata.record_sets for field in one.fields]\n"
+        "shapes = {field.id: field.array_shape_tuple for field in fields if field.is_array}\n"
+        "print(json.dumps([found, shapes]))\n"
+    )
+    command = [sys.executable, "-c", script, str(folder / "croissant.json")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found, shapes = json.loads(done.stdout.splitlines()[-1])
+    tables = [path.name for path in (folder / "data").iterdir()]
+    assert found == {f"{table}-rows": sum(splits_of(folder, table).values()) for table in tables}
+    assert shapes["variants-rows/body22_m"] == [22, 3]
+    assert shapes["takes-rows/rest_offset_m"] == [-1]
+
+
+def test_the_library_datasets_streams_each_split_of_each_table(folder: Path, tmp_path: Path) -> None:
+    script = (
+        "import json, sys, datasets\n"
+        "found = {}\n"
+        "for table in datasets.get_dataset_config_names(sys.argv[1]):\n"
+        "    streams = datasets.load_dataset(sys.argv[1], table, streaming=True)\n"
+        "    found[table] = {split: sum(1 for _ in rows) for split, rows in streams.items()}\n"
+        "default = datasets.load_dataset(sys.argv[1], streaming=True)\n"
+        "found['default'] = {split: sum(1 for _ in rows) for split, rows in default.items()}\n"
+        "print(json.dumps(found))\n"
+    )
+    offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", script, str(folder)]
+    done = subprocess.run(command, env=os.environ | offline, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found.pop("default") == splits_of(folder, "variants")
+    assert found == {path.name: splits_of(folder, path.name) for path in (folder / "data").iterdir()}
+
+
+def test_pandas_polars_and_duckdb_read_a_table_by_glob(folder: Path) -> None:
+    for path in (folder / "data").iterdir():
+        names, pattern = [column.name for column in TABLES[path.name].columns], str(path / "*.parquet")
+        question = duckdb.sql("select * from read_parquet($files)", params={"files": pattern})
+        frames = [pd.read_parquet(path), pl.read_parquet(pattern), question.df()]
+        assert [list(frame.columns) for frame in frames] == [names] * 3
+        assert {len(frame) for frame in frames} == {sum(splits_of(folder, path.name).values())}
+
+
+def test_the_card_is_one_of_the_hub_and_has_the_features_of_the_files(folder: Path) -> None:
+    card = DatasetCard.load(folder / "README.md")
+    assert (card.data.license, card.data.pretty_name) == ("other", "made@1")
+    infos = {info["config_name"]: info for info in card.data.to_dict()["dataset_info"]}
+    assert {path.name for path in (folder / "data").iterdir()} == set(infos)
+    for table, info in infos.items():
+        assert Features._from_yaml_list(info["features"]) == Features.from_arrow_schema(arrow_schema(TABLES[table]))
+        assert {one["name"]: one["num_examples"] for one in info["splits"]} == splits_of(folder, table)
+    assert (folder / "CREDITS.txt").is_file()
+    assert [path.name for path in (folder / "LICENSES").iterdir()] == ["CC0.txt"]
+
+
+def test_a_clip_is_one_row_group_with_the_take_s_split_and_the_rows_of_the_store(folder: Path, store: Store) -> None:
+    clips = pd.read_parquet(folder / "data" / "clips")
+    assert set(clips["clip_id"]) == {*TAKES, *(f"{take}/{name}" for take in TAKES for name in VARIANTS)}
+    sides = json.loads((folder / "splits.json").read_text())["takes"]
+    assert sides["waltz"]["split"] == "test"
+    assert all(side["reason"] for side in sides.values())
+    assert {clip.split for clip in clips.itertuples()} == {"train", "validation", "test"}
+    for clip in clips.itertuples():
+        assert clip.split == sides[clip.take_id]["split"] == Path(clip.file).name.split("-")[0]
+        rows = pq.ParquetFile(folder / clip.file).read_row_group(clip.row_group)
+        assert rows.num_rows == clip.num_frames * clip.num_people == 24
+        table = "poses" if pd.isna(clip.variant_id) else "variants"
+        stored = open_table(f"{table}:made@1", store)
+        own = stored["take_id"] == clip.take_id
+        own &= True if table == "poses" else stored["variant_id"] == clip.variant_id
+        positions = np.stack(rows["body22_m"].to_numpy(zero_copy_only=False)).reshape(-1, 22, 3)
+        np.testing.assert_array_equal(positions, stored["body22_m"][own])
+        rest = np.reshape(clip.rest_m, (2, 22, 3))
+        take = clips[clips["clip_id"] == clip.take_id].iloc[0]
+        scale = np.reshape(clip.bone_scale, (2, 22))
+        lengths = bone_lengths(BODY22, np.reshape(take["rest_m"], (2, 22, 3))) * scale
+        np.testing.assert_allclose(bone_lengths(BODY22, rest), lengths, atol=1e-6)
+        assert 0.0 < clip.contact_rate <= 1.0
+
+
+def test_figures_are_those_of_the_rows(folder: Path) -> None:
+    stats = json.loads((folder / "stats.json").read_text())
+    rows = pd.read_parquet(sorted(folder.glob("data/variants/train-*"))[0])
+    positions = np.stack(rows["body22_m"]).reshape(-1, 22, 3).astype(np.float64)
+    clips = positions.reshape(-1, 12, 2, 22, 3)
+    wanted = {
+        "body22_m": positions,
+        "body22_velocity_m_s": (np.diff(clips, axis=1) * 30.0).reshape(-1, 22, 3),
+        "bone_length_m": bone_lengths(BODY22, positions),
+    }
+    for name, values in wanted.items():
+        found = stats["train"]["variants"][name]
+        assert found["count"] == len(values)
+        quantiles = np.quantile(values, (0.01, 0.5, 0.99), axis=0)
+        mine = [values.mean(0), values.std(0), values.min(0), values.max(0), *quantiles]
+        for key, one in zip(("mean", "std", "min", "max", "q01", "q50", "q99"), mine, strict=True):
+            np.testing.assert_allclose(found[key], one, atol=2e-6, err_msg=f"{name} {key}")
+    rates = stats["train"]["poses"]["contact_rate"]
+    assert rates["count"] == 12
+    assert 0 < max(rates["mean"]) <= 1
+
+
+def test_a_folder_comes_into_another_store_as_what_it_was(folder: Path, store: Store, tmp_path: Path) -> None:
+    other = Store(tmp_path / "other")
+    dataset, num_new = read_folder(folder, other)
+    assert dataset.digest == open_dataset(store, "made@1").digest
+    assert num_new == 7
+    assert verify(other).is_ok
+    names = [[clip.name for clip in Data(one).variants("made@1")] for one in (store, other)]
+    assert names[0] == names[1]
+    assert read_folder(folder, other)[1] == 0
+    again = tmp_path / "again"
+    write_folder(other, dataset, again)
+    assert digests(again) == digests(folder)
+
+
+def test_a_damaged_folder_is_refused(folder: Path, tmp_path: Path) -> None:
+    other = shutil.copytree(folder, tmp_path / "damaged")
+    path = next((other / "data" / "poses").iterdir())
+    path.write_bytes(path.read_bytes()[:-1] + b"!")
+    with pytest.raises(CorruptArtifact, match=path.name):
+        read_folder(other, Store(tmp_path / "store"))
+    assert not (tmp_path / "store" / "datasets").exists()
+
+
+def rejecting(store: Store) -> dict[str, str]:
+    """Return the choice that rejects a variant of a take."""
+    rows = open_table("variants:made@1", store)
+    own = (rows["take_id"] == "judo") & (rows["variant_id"] == VARIANTS[1])
+    return {f"variants judo/{VARIANTS[1]}": f"reject {content_of(rows['body22_m'][own])}"}
+
+
+def texts(folder: Path) -> str:
+    """Return all that a folder says, in rows and in files."""
+    said = [path.read_text() for path in folder.rglob("*") if path.is_file() and path.suffix != ".parquet"]
+    said += [str(pd.read_parquet(path).astype(str).to_dict()) for path in folder.rglob("*.parquet")]
+    return "\n".join(said)
+
+
+def test_rejected_rows_are_nowhere_and_what_is_left_comes_back(store: Store, tmp_path: Path) -> None:
+    choices = rejecting(store)
+    dataset = put_dataset(store, TAKES, version="chosen", choices=choices)
+    written = write_folder(store, dataset, tmp_path / "out")
+    (tmp_path / "out" / "record" / "study.json").unlink()  # it says what was rejected, and why
+    said = texts(tmp_path / "out")
+    clips = pd.read_parquet(tmp_path / "out" / "data" / "clips")
+    assert set(clips["clip_id"]) == {*TAKES, *(f"{t}/{v}" for t in TAKES for v in VARIANTS)} - {f"judo/{VARIANTS[1]}"}
+    for table in ("variants", "variant_quality", "variant_frames"):
+        rows = pd.read_parquet(tmp_path / "out" / "data" / table)
+        assert not ((rows["take_id"] == "judo") & (rows["variant_id"] == VARIANTS[1])).any()
+    assert not (tmp_path / "out" / "data" / "scores").exists()
+    assert "Rejected by a person, of variants: 1." in written.left_out
+    assert f"judo/{VARIANTS[1]}" not in said
+    write_folder(store, dataset, tmp_path / "whole")
+    other = Store(tmp_path / "other")
+    dataset, _ = read_folder(tmp_path / "whole", other)
+    assert verify(other).is_ok
+    assert len(Data(other).variants(dataset.label)) == 8
+    (judo,) = [clip for clip in Data(other).variants(dataset.label) if clip.name == f"judo, {VARIANTS[2]}"]
+    (same,) = [clip for clip in Data(store).variants("made@1") if clip.name == f"judo, {VARIANTS[2]}"]
+    np.testing.assert_array_equal(judo.positions_m, same.positions_m)
+
+
+@pytest.mark.parametrize("withheld", [(), ("made up",)], ids=["licence", "named"])
+def test_a_source_that_may_not_leave_is_nowhere(store: Store, tmp_path: Path, withheld: tuple[str, ...]) -> None:
+    mine = SourceCredit("open", "CC0", "open") if withheld else SECRET
+    takes = {"hug": False, "spy": False} if not withheld else {"open": False, "zebra": False}
+    hidden = "spy" if not withheld else "zebra"
+    dataset = put_dataset(store, takes, version=f"of-{hidden}", sources={"spy": mine, "open": mine})
+    if withheld:  # variants are made up, too
+        with pytest.raises(PlanError, match="no source 'nobody'"):
+            write_folder(store, dataset, tmp_path / "out", withheld=["nobody"])
+    written = write_folder(store, dataset, tmp_path / "out", withheld=withheld)
+    said = texts(tmp_path / "out").replace("made up for tests", "")
+    assert any("stays, its licence" in one for one in written.left_out)
+    assert hidden not in said.replace(f"of-{hidden}", "")
+    assert SECRET.credit not in json.dumps(json.loads((tmp_path / "out" / "croissant.json").read_text())["creator"])
+    assert verify_read(tmp_path / "out", tmp_path / "other")
+
+
+def verify_read(folder: Path, place: Path) -> bool:
+    read_folder(folder, Store(place))
+    return verify(Store(place)).is_ok
+
+
+def test_nothing_at_all_may_leave_is_said(store: Store, tmp_path: Path) -> None:
+    dataset = put_dataset(store, {"spy": False}, version="spy", sources={"spy": SECRET})
+    with pytest.raises(PlanError, match=r"nothing of made@spy may leave: secret \(licence: Internal use only"):
+        write_folder(store, dataset, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_update_writes_only_what_is_new_and_keeps_sides(store: Store, tmp_path: Path) -> None:
+    more = put_dataset(store, {**TAKES, "lift": False, "push": False}, version="more")
+    out = tmp_path / "out"
+    write_folder(store, open_dataset(store, "made@1"), out)
+    before = {path: path.stat().st_ino for path in out.rglob("*.parquet")}
+    sides = json.loads((out / "splits.json").read_text())["takes"]
+    (out / ".git").mkdir()
+    with pytest.raises(PlanError, match=r"has made@1; `--since made@1` updates it"):
+        write_folder(store, more, out)
+    written = write_folder(store, more, out, since="made@1")
+    assert read_manifest(out) == written.manifest
+    assert written.manifest.label == "made@more"
+    tables = ("variants", "variant_quality", "variant_frames", "poses", "takes", "contacts")
+    assert {Path(name).parent.name for name in written.new} == {*tables, "scores"}
+    kept = {path.stat().st_ino for path in out.rglob("*.parquet")} & set(before.values())
+    assert len(kept) == len([path for path in before if path.parent.name in tables])
+    now = json.loads((out / "splits.json").read_text())["takes"]
+    assert {name: now[name] for name in sides} == sides
+    assert set(pd.read_parquet(out / "data" / "clips")["take_id"]) == {*TAKES, "lift", "push"}
+    assert (out / ".git").is_dir()
+    clips = pd.read_parquet(out / "data" / "clips")
+    for clip in clips.itertuples():
+        rows = pq.ParquetFile(out / clip.file).read_row_group(clip.row_group, columns=["take_id"])
+        assert set(rows["take_id"].to_pylist()) == {clip.take_id}
+    assert verify_read(out, tmp_path / "other")
+    assert write_folder(store, more, out, since="made@1").new == ()
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["other", "out"]
+
+
+def test_the_page_plays_clips_without_a_network(folder: Path) -> None:
+    page = (folder / "index.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert page.count("<canvas") == 12
+    assert "made@1" in page
+
+
+def test_commands_write_read_and_refuse(store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, place = str(tmp_path / "out"), str(store)
+    assert run_command_line(["dataset", "write", "made@1", "--out", out, "--store", place]) == 0
+    assert "made@1 is in" in capsys.readouterr().out
+    assert run_command_line(["dataset", "read", out, "--store", str(tmp_path / "other"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["num_new"] == 7
+    assert run_command_line(["dataset", "read", str(tmp_path), "--store", place]) == 2
+    assert "is no folder of a dataset" in capsys.readouterr().err
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").touch()
+    assert run_command_line(["dataset", "write", "made@1", "--out", str(tmp_path / "full"), "--store", place]) == 2
+    assert "is not empty" in capsys.readouterr().err

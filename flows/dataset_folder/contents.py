@@ -104,7 +104,7 @@ def find_contents(
         if not forbidden.isdisjoint(source.name for source in one.sources) or _is_rejected(one, rejected)
     }
     out = _with_descendants(roots, every)
-    failed = {ref for ref, one in every.items() if one.facts.get("kind") == "take" and "poses" not in one.tables}
+    failed = {ref for ref, one in every.items() if one.facts.get("kind") == "take" and one.facts.get("skipped")}
     trimmed = {table: found for table, found in rejected.items() if found}
     if out or failed or trimmed:
         out |= failed | {ref for ref in every if ref.stage == "evaluation"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -272,3 +273,33 @@ def test_the_record_of_a_run_says_what_decides_last_bits(built: Store, monkeypat
     assert environment["settings"]["OMP_NUM_THREADS"] == "1"
     assert isinstance(read_recorded(built, run_id(built)), Recorded)
     assert os.sep not in json.dumps(environment["settings"]), "no paths"
+
+
+def test_a_folder_of_a_dataset_is_built_again_by_its_record_alone(
+    built: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place, folder, other = ["--store", str(built.root)], tmp_path / "first-1", ["--store", str(tmp_path / "other")]
+    assert run_command_line(["dataset", "create", "first", "--study", "toy", *place], graph=TOYS) == 0
+    assert run_command_line(["dataset", "write", "first@1", "--out", str(folder), *place], graph=TOYS) == 0
+    shutil.rmtree(built.root)
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert run_command_line(["rerun", str(folder), *other], graph=TOYS) == 0
+    assert f"same bytes: all files of {folder}" in capsys.readouterr().out
+    assert run_command_line(["dataset", "write", "first@1", "--out", str(tmp_path / "again"), *other], graph=TOYS) == 0
+    assert (tmp_path / "again" / "manifest.json").read_bytes() == (folder / "manifest.json").read_bytes()
+    (tmp_path / "source.txt").write_text("what it was not")
+    assert run_command_line(["rerun", str(folder), "--store", str(tmp_path / "third")], graph=TOYS) == 2
+    assert "source.txt is not what first@1 read" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_built_again_with_other_bytes_says_which_files(
+    built: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place, folder, other = ["--store", str(built.root)], tmp_path / "first-1", ["--store", str(tmp_path / "other")]
+    assert run_command_line(["dataset", "create", "first", "--study", "toy", *place], graph=TOYS) == 0
+    assert run_command_line(["dataset", "write", "first@1", "--out", str(folder), *place], graph=TOYS) == 0
+    monkeypatch.chdir(tmp_path)
+    assert run_command_line(["rerun", str(folder), *other], graph=changed(by=1.0)) == 1
+    said = capsys.readouterr().out
+    assert "other bytes: data/models/" in said

@@ -157,6 +157,7 @@ def _card(
         tables=rows,
         meaning={name: TABLES[name].meaning for name in rows},
         default=default,
+        first_split=next(split for split in SPLITS if split in tables[default]),
         verdicts=dict(sorted(Counter(clip["verdict"] for clip in clips).items())),
         left_out=contents.left_out,
         limitations=[*ABOUT["dataLimitations"], *ABOUT["dataBiases"]],
@@ -226,17 +227,17 @@ def _lines(contents: Contents, what: str, clips: list[dict[str, Any]]) -> list[s
         what,
         "Verdicts: " + ", ".join(f"{verdict} {count:,}" for verdict, count in sorted(verdicts.items())) + ".",
         *(f"From {one.name}: {one.licence}. {one.credit}" for one in contents.dataset.sources),
-        f"Some of the {len(clips):,} clips, evenly spread; contacts are green.",
+        f"Some of the {len(clips):,} clips, evenly spread, each beside its take; contacts are green.",
     ]
 
 
 def _pictures(store: Store, contents: Contents, clips: list[dict[str, Any]]) -> list[Any]:
-    """Return players of some clips, evenly spread."""
+    """Return players of some variants, evenly spread, or of takes where there are none."""
     takes = {TakeFacts.of(one).take_id: one for one in contents.with_table("poses")}
     batches = {group.clip: group.ref for group in contents.groups if group.table == "variants"}
     pictures = []
-    for at in evenly_spread(len(clips), _MAX_PLAYERS):
-        clip = clips[at]
+    shown = [clip for clip in clips if clip["variant_id"] is not None] or clips  # a variant is beside its take
+    for clip in (shown[at] for at in evenly_spread(len(shown), _MAX_PLAYERS)):
         source = Clip(clip["take_id"], takes[clip["take_id"]], store)
         if clip["variant_id"] is not None:
             manifest = store.manifest(batches[clip["clip_id"]])

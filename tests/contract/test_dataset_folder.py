@@ -292,7 +292,7 @@ def test_an_update_writes_only_what_is_new_and_keeps_sides(store: Store, tmp_pat
 def test_the_page_plays_clips_without_a_network(folder: Path) -> None:
     page = (folder / "index.html").read_text()
     assert "http://" not in page.replace("http://www.w3.org", "")
-    assert page.count("<canvas") == 12
+    assert page.count("<canvas") == 9
     assert "made@1" in page
 
 

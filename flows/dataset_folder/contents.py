@@ -119,8 +119,8 @@ def find_contents(
     for one in kept:
         split = _side_of(one, sides, is_held_out=(one.ref.stage, one.ref.content_digest) in tested)
         rows = _kept_rows(store, one, rejected)
-        if one.tables and not any(rows.values()):
-            continue
+        if any(part.rows for part in one.tables.values()) and not any(rows.values()):
+            continue  # all of it was rejected
         manifests.append(_as_it_leaves(store, one, rows, rejected))
         groups += [group for table in rows for group in _groups(store, one, table, rows[table], split)]
     if not groups:

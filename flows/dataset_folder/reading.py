@@ -108,6 +108,8 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
     """
     manifest = _checked(folder)
     listed, files = read_record(folder)
+    order = {ref: at for at, ref in enumerate(listed.refs)}  # the plan may list its stages in another
+    refs = tuple(sorted(refs, key=lambda ref: order.get(ref, len(order))))
     names = {source.name for source in listed.sources}
     sources = merge_credits(listed.sources, (one for one in source_credits(store, *refs) if one.name not in names))
     path = store.root / "datasets" / listed.label

@@ -24,7 +24,7 @@ for table in tables:
     rows[table] = {
         "pandas": len(pandas.concat(map(pandas.read_parquet, sorted((folder / "data" / table).iterdir())))),
         "polars": polars.scan_parquet(files).select(polars.len()).collect().item(),
-        "duckdb": duckdb.sql(f"select count(*) from '{files}'").fetchone()[0],
+        "duckdb": duckdb.sql(f"select count(*) from '{files}'").fetchall()[0][0],
     }
     streams = datasets.load_dataset(str(folder), table, streaming=True)
     rows[table]["datasets"] = sum(sum(1 for _ in stream) for stream in streams.values())

@@ -21,7 +21,6 @@ from pasdedeux.formats.rates import one_rate
 from pasdedeux.formats.registry import recognise_format
 from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, mend_of_mirror, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.people.video import why_no_video
 from pasdedeux.plain_text import visible
 from pasdedeux.skeletons.layouts import Draft, find_layout
@@ -37,12 +36,8 @@ from tasks.stage import SourceFile
 from tasks.views import ViewsParameters
 
 _SURE, _LIKELY = 0.9, 0.6
-_LOOKED_AT, _JUMP_M, _JUMP = 50, 0.15, 5.0
-"""Frames that may show a jump, its length at least, and how many times the largest steps after it."""
 ONE_TAKE = 0.98
 """Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""
-
-
 _DOUBTS = "A GUESS", "ARE THEY"
 """What a line of the study has in it that somebody has to look at."""
 _quoted = partial(json.dumps, ensure_ascii=False)
@@ -212,7 +207,6 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
     different = [[line for line in lines if _key(line) not in keys] for lines in told]
     return [
         *_length(people),
-        *_jump(people),
         *shared,
         *(line for lines in different for line in ("[[ingest.takes.persons]]", *lines)),
     ]
@@ -288,21 +282,6 @@ def _mirror(person: _Person, exchanged: Sequence[bool]) -> str:
         f"mirrored = {mend}       # {person.path.name}: toes and knees point backwards, left and right are exchanged, "
         f"{mend_of_mirror(exchanged)}: A GUESS - CHECK IT"
     )
-
-
-def _jump(people: Sequence[_Person]) -> list[str]:
-    """Offer to leave out a first frame that is no part of the motion, such as a T-pose."""
-    for person in people:
-        some = person.motion.frames(0, _LOOKED_AT)
-        positions, _ = forward_kinematics(some.skeleton, some.rest_offsets, some.root_translation, some.local_unitquat)
-        steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1).max(axis=-1) * person.taken.unit.metres_per_unit
-        if len(steps) > 2 and steps[0] > max(_JUMP_M, _JUMP * np.percentile(steps[1:], 95)):
-            last = min(other.num_frames for other in people)
-            return [
-                f"# frames = [1, {last}]   # {person.path.name} jumps by {steps[0]:.2f} m after frame 0, a T-pose "
-                "perhaps: A GUESS - uncomment it if so"
-            ]
-    return []
 
 
 def _said(person: _Person) -> str:

@@ -273,13 +273,3 @@ def test_two_rigs_rates_and_axes_are_written_for_each(tmp_path: Path) -> None:
     assert [person.up_axis for person in people] == ["y", "z"]
     assert "12 frames" in made.said[0]
     assert any("0.40 and 0.20 seconds: ARE THEY" in line for line in made.said)
-
-
-def test_a_t_pose_before_the_take_is_offered_to_be_cut(tmp_path: Path) -> None:
-    lines = bvh_text(num_frames=40).splitlines()
-    start = next(at for at, line in enumerate(lines) if line.startswith("Frame Time"))
-    lines[start + 1] = " ".join("0" for _ in lines[start + 1].split())
-    (tmp_path / "a.bvh").write_text("\n".join(lines))
-    made = new_study(tmp_path / "a.bvh")
-    assert "# frames = [1, 40]" in made.text
-    assert any(line.startswith("in doubt: frames = [1, 40]: a.bvh jumps by") for line in made.said)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
+from pasdedeux.sampling.densities import DENSITIES
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
@@ -29,6 +30,7 @@ class DrawSet:
         rows: Row of each draw in its artifact, (draw,).
         numbers: Index of each draw in its chain, of other pairs in their artifact, (draw,).
         refs: References `draws@...` or `seeds@...` of the artifacts.
+        knows_annotations: Whether annotations shaped them; those of the prior alone are a baseline.
     """
 
     name: str
@@ -37,6 +39,7 @@ class DrawSet:
     rows: np.ndarray
     numbers: np.ndarray
     refs: tuple[str, ...]
+    knows_annotations: bool = True
 
     @property
     def in_order(self) -> np.ndarray:
@@ -70,7 +73,8 @@ def is_chain(manifest: Manifest) -> bool:
 
 def knows_annotations(manifest: Manifest) -> bool:
     """Tell whether annotations shaped the pairs of an artifact; those of the prior alone are a baseline."""
-    return not density_of(manifest).startswith(PRIOR_ONLY)
+    # Not by its name: draws of a sweep are kept under a name of the user's own.
+    return "seeds" in manifest.tables or DENSITIES[str(manifest.parameters["density"])].reads_annotations
 
 
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:
@@ -83,32 +87,48 @@ def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawS
     return {name: _join(name, parts) for name, parts in _read_parts(store, refs).items()}
 
 
+def baselines_of(sets: Mapping[str, DrawSet]) -> list[str]:
+    """Return the names of the sets that no annotation shaped."""
+    return [name for name, found in sets.items() if not found.knows_annotations]
+
+
 def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
     """Return all draws of all densities, and the grown and filled pairs, as one set."""
     return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
 
 
-def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tuple[str, int, np.ndarray]]]:
-    """Return reference, number of the first draw in its chain, and pairs of every artifact, by density in order."""
-    found: dict[str, list[tuple[str, int, np.ndarray]]] = {}
+class _Part(NamedTuple):
+    """Pairs of an artifact: its reference, number of the first draw in its chain, whether annotations shaped them."""
+
+    ref: str
+    start: int
+    pairs_m: np.ndarray
+    knows_annotations: bool
+
+
+def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[_Part]]:
+    """Return the pairs of every artifact, by density in order."""
+    found: dict[str, list[_Part]] = {}
     for ref in refs:
         manifest = store.manifest(ref)
         name, table = density_of(manifest), "draws" if "draws" in manifest.tables else "seeds"
         start = (facts := DrawFacts.of(manifest)).segment * facts.num_draws if table == "draws" else 0
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
-            found.setdefault(name, []).append((reference_to(table, ref), start, pairs))
+            part = _Part(reference_to(table, ref), start, pairs, knows_annotations(manifest))
+            found.setdefault(name, []).append(part)
     return dict(sorted(found.items()))
 
 
-def _join(name: str, parts: Sequence[tuple[str, int, np.ndarray]]) -> DrawSet:
+def _join(name: str, parts: Sequence[_Part]) -> DrawSet:
     """Return the draws of several artifacts, each with its reference, as one set."""
-    counts = [len(pairs) for _, _, pairs in parts]
+    counts = [len(part.pairs_m) for part in parts]
     return DrawSet(
         name=name,
-        pairs_m=np.concatenate([pairs for _, _, pairs in parts]),
+        pairs_m=np.concatenate([part.pairs_m for part in parts]),
         artifacts=np.repeat(np.arange(len(parts)), counts),
         rows=np.concatenate([np.arange(count) for count in counts]),
-        numbers=np.concatenate([start + np.arange(len(pairs)) for _, start, pairs in parts]),
-        refs=tuple(ref for ref, _, _ in parts),
+        numbers=np.concatenate([part.start + np.arange(len(part.pairs_m)) for part in parts]),
+        refs=tuple(part.ref for part in parts),
+        knows_annotations=any(part.knows_annotations for part in parts),
     )

@@ -22,13 +22,11 @@ from pasdedeux.completion.occlusion import complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.annotated import (
-    MIN_FRAMES,
     as_pair17,
     database_of_draws,
     database_of_takes,
-    lift_over_time,
 )
-from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera
+from pasdedeux.reconstruction.sequence import SearchedDatabase
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
@@ -47,27 +45,23 @@ from tasks.draw_sets import (
 )
 from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
 from tasks.kept import kept
+from tasks.over_time import couples_of, is_video, lift_couple
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
-from tasks.reconstruction import read_tracks
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
 
-LIFTING = StageName("lifting", 13)
+LIFTING = StageName("lifting", 14)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
 """Median expected error above which lifted pairs are doubted."""
-_VIDEO = ("video", "given")
-"""Purposes of annotations whose frames may follow each other."""
 _EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 
 _NUM_HYPOTHESES = 8
 """Likeliest view hypotheses of an annotation that draws compete in."""
 _NUM_COMPLETING = 100
 """Draws nearest in D_I that joints not seen are taken from."""
-_NUM_OVER_TIME = 60
-"""Annotated frames of a video, evenly spread, that beside those lifted say where the camera is and how large people."""
 _NUM_NAIVE = 1000
 """Samples round each pair of the baseline naive_sampling."""
 
@@ -127,7 +121,7 @@ def _shard(
         bases = [manifest for manifest in inputs.of("torso_basis") if not shares_takes(annotated, manifest)]
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
     parts = [(part, ProjectionFacts.of(part)) for part in inputs.of("projections")]
-    if SequenceFacts.of(annotated).purpose in _VIDEO:
+    if is_video(SequenceFacts.of(annotated)):
         # Draws of a database are among those that are read anyway, and what they lift errs otherwise.
         takes = [part for part, facts in parts if facts.origin == "take"]
         read["projections"] = [part for part in takes if not shares_takes(annotated, part)]
@@ -146,8 +140,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     every, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    is_video = annotated.purpose in _VIDEO
-    in_time = [place for place in every if is_video and place.sequence_id not in annotated.why_no_video]
+    in_time = sorted(place for own in couples_of(annotated, every).values() for place in own)
     spans = _spans(in_time, options.num_spans, options.between_frames) if options.between_frames else []
     places = list(every)
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
@@ -274,30 +267,16 @@ def _over_time(
     shard: Shard, store: Store, places: Sequence[PairPlace], wanted: set[PairPlace], pitches_deg: Pitches
 ) -> dict[PairPlace, _Together]:
     """Return both people at the wanted ones of these places of videos, from them and some between."""
-    stated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
-    couples: dict[PairPlace, list[PairPlace]] = {}
-    for place in places:
-        couples.setdefault(place._replace(frame=0), []).append(place)
-    found: dict[PairPlace, _Together] = {}
-    for couple, own in couples.items():
-        between = {own[at] for at in evenly_spread(len(own), _NUM_OVER_TIME)}
-        chosen = sorted(between.union(wanted.intersection(own)))
-        if len(own) < MIN_FRAMES or not wanted.intersection(own):
-            continue
-        tracks = {
-            track.person_id: track for track in read_tracks(store, shard.ref("annotations"), couple.sequence_id)[0]
-        }
-        if not {couple.person_id, couple.partner_id} <= set(tracks):
-            continue
-        both = [tracks[couple.person_id], tracks[couple.partner_id]]
-        database, is_of_draws = _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)
-        camera = StatedCamera(height_m=stated.camera_height_m)
-        frames = np.array([place.frame for place in chosen])
-        made = lift_over_time(both, frames, database, camera, stated.statures_m)
-        if made is not None:
-            for place, people_m, expected_m in zip(chosen, *made, strict=True):
-                found[place] = _Together(people_m, float(expected_m), is_of_draws)
-    return found
+    facts = SequenceFacts.of(store.manifest(shard.ref("annotations")))
+
+    def database() -> SearchedDatabase:
+        return _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[0]
+
+    found: dict[PairPlace, tuple[np.ndarray, float]] = {}
+    for own in couples_of(facts, places).values():
+        found |= lift_couple(store, shard.ref("annotations"), own, wanted, database)
+    is_of_draws = bool(found) and _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[1]
+    return {place: _Together(*lifted, is_of_draws) for place, lifted in found.items()}
 
 
 def _lift(

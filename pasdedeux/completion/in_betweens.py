@@ -1,7 +1,8 @@
 """The pairs between two pairs, guided by draws instead of straight.
 
 A straight line between the joints of two poses shortens limbs and cuts through what people do not do.  Draws near the
-line show where such pairs lie; the path is the compromise of both that is smooth, with exact bone lengths.
+line show where such pairs lie, but for what they miss of the two poses; the path is the compromise of both that is
+smooth, with exact bone lengths.  Draws that are far from everything give the straight line, with exact bones.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _NUM_NEAREST = 16
 _LINE_DEVIATION_M = 0.05
 """Distance of a true pair from the straight line half-way."""
 _DRAW_DEVIATION_M = 0.1
-"""Distance of a true pair from the mean of its nearest draws."""
+"""Distance of a true pair from the mean of its nearest draws, where that of the ends is known."""
 _BEND_M = 0.005
 """Second difference of a joint's path between neighbouring frames."""
 _NUM_ROUNDS = 2
@@ -59,9 +60,11 @@ def fill_between(first_m: Array, last_m: Array, num_between: int, draws_m: Draws
     line_weight = (4.0 * share * (1.0 - share) * _LINE_DEVIATION_M**2) ** -1
     ends = np.stack([first_m, last_m])
     lengths = bone_lengths(PAIR17, ends).mean(axis=0)
+    # What draws miss of both ends they miss between them too.
+    missed = straight_between(*ends - np.stack([_local_mean(draws_m, end) for end in ends]), num_between=num_between)
     path = line
     for _ in range(_NUM_ROUNDS):
-        shown = np.stack([_local_mean(draws_m, pair) for pair in path])
+        shown = missed + np.stack([_local_mean(draws_m, pair) for pair in path])
         path = np.stack([_lead(ends[:, p], line[:, p], shown[:, p], line_weight, lengths[p]) for p in (0, 1)], 1)
     return path
 

@@ -89,6 +89,23 @@ class Items:
         )
 
 
+def lead_interval(paired: Paired, baseline: str) -> tuple[float, float]:
+    """Return where the lead of a method over a baseline lies, larger is better: over takes, or blocks where few."""
+    return bootstrap_interval(
+        _sign(paired) * np.subtract(paired.sums[baseline], paired.sums[paired.method]),
+        np.array(paired.sizes, dtype=np.float64),
+        units=paired.takes if _has_takes(paired) else None,
+    )
+
+
+def _sign(paired: Paired) -> float:
+    return -1.0 if paired.is_larger_better else 1.0
+
+
+def _has_takes(paired: Paired) -> bool:
+    return len(set(paired.takes)) >= FEWEST_UNITS
+
+
 def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     """Return the verdict on a method: the rule that holds wherever methods are compared.
 
@@ -99,17 +116,8 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     """
     sizes, num_blocks = np.array(paired.sizes, dtype=np.float64), len(paired.sizes)
     mean = {name: float(np.sum(found) / sizes.sum()) if num_blocks else math.nan for name, found in paired.sums.items()}
-    sign = -1.0 if paired.is_larger_better else 1.0
-    has_takes = len(set(paired.takes)) >= FEWEST_UNITS
-    intervals = {
-        name: bootstrap_interval(
-            sign * np.subtract(paired.sums[name], paired.sums[paired.method]),
-            sizes,
-            units=paired.takes if has_takes else None,
-        )
-        for name in paired.baselines
-        if num_blocks >= FEWEST_BLOCKS
-    }
+    sign = _sign(paired)
+    intervals = {name: lead_interval(paired, name) for name in paired.baselines if num_blocks >= FEWEST_BLOCKS}
     is_behind = any(high < 0.0 for _, high in intervals.values())
     hardest = min(
         paired.baselines,
@@ -132,7 +140,7 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
         if is_worse := is_behind or lead < 0.0:
             lead, low, high = -lead, -high, -low
         by, ends = format_interval(lead, low, high, unit)
-        over = f"{len(set(paired.takes))} takes" if has_takes else f"{num_blocks} blocks of 1 s"
+        over = f"{len(set(paired.takes))} takes" if _has_takes(paired) else f"{num_blocks} blocks of 1 s"
         how = {Level.PASS: "better than", Level.WARN: "about as well as", Level.FAIL: "worse than"}[level]
         lead_words = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
         reason = f"{method} performed {how} {beaten}, {lead_words} {by} ({ends}, over {over})"

@@ -27,7 +27,7 @@ from pasdedeux.spread import evenly_spread
 
 MIN_FRAMES = 12
 """Fewer annotated frames say too little of a camera: twelve place a lift within 9 cm, a single frame nothing."""
-_MAX_FRAMES, _MAX_PAIRS = 1000, 3000
+_MAX_FRAMES, MAX_PAIRS = 1000, 3000
 """Frames that are reconstructed together, and pairs of the database, evenly chosen, at most; poses twice as many."""
 
 _SHARED = [name for name in OP14.joint_names if name not in ("head", "neck")]
@@ -38,7 +38,7 @@ _TORSO = [_SHARED.index(f"{side}_{name}") for side in ("left", "right") for name
 
 def database_of_draws(pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> SearchedDatabase:
     """Return draws and grown pairs (draw, person=2, 17, 3), metres, as what cameras of these pitches may see."""
-    op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64), PAIR17)
+    op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), MAX_PAIRS)].astype(np.float64), PAIR17)
     poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m
     return _database(poses, op14, pitches_rad)
 
@@ -47,8 +47,8 @@ def database_of_takes(
     database: Database, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]
 ) -> SearchedDatabase:
     """Return poses of a database and its pairs (row, person=2, 14, 3) as what cameras of these pitches may see."""
-    pairs = pairs_m[evenly_spread(len(pairs_m), _MAX_PAIRS)].astype(np.float64)
-    poses = database.poses_m[evenly_spread(database.num_rows, 2 * _MAX_PAIRS)]
+    pairs = pairs_m[evenly_spread(len(pairs_m), MAX_PAIRS)].astype(np.float64)
+    poses = database.poses_m[evenly_spread(database.num_rows, 2 * MAX_PAIRS)]
     return _database(poses, pairs, pitches_rad)
 
 

@@ -78,8 +78,8 @@ SEEDS = Table(
         SEED_INDEX,
         text(
             "origin",
-            "frame (of a take), file, draw (a file written by a restart), lifted (from 2D alone), grown (from seeds), "
-            "filled (in between grown ones)",
+            "frame (of a take), file, draw (a file written by a restart), lifted (from 2D alone), over_time (with "
+            "other frames of a video), grown (from seeds), filled (in between these)",
         ),
         TAKE_ID.with_meaning("Take it came from, else null", is_nullable=True),
         TAKE_FRAME,

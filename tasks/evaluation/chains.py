@@ -13,13 +13,12 @@ from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture, pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.diagnostics import FIGURES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, read_all_seen, with_views
-from tasks.draw_sets import is_chain
+from tasks.draw_sets import is_chain, knows_annotations
 from tasks.evaluation.lifting import rows_figure
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import DrawFacts
@@ -41,7 +40,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     found = inputs.of("chain_info")
     shown = _first_chains(list(filter(is_chain, inputs.of("draws"))))
     named = {"summary": found, "draws": shown}
-    shards = [TOPIC.shard(inputs, name, chains=chains) for name, chains in named.items() if chains]
+    shards = [TOPIC.shard(inputs, name, chains=chains, first=shown) for name, chains in named.items() if chains]
     known = with_views(annotated_pairs(inputs), inputs)
     if shown and known["annotations"]:
         shards.append(TOPIC.shard(inputs, "nearest", chains=shown, **known))
@@ -98,6 +97,12 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
     return found
 
 
+def _baselines(shard: Shard, store: Store) -> set[str]:
+    """Return the names of the chains that no annotation shaped."""
+    first = map(store.manifest, shard.refs("first"))
+    return {DrawFacts.of(one).density for one in first if not knows_annotations(one)}
+
+
 def _read_chains(store: Store, shard: Shard) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
     """Yield density, partition, pairs (draw, 2, 17, 3), metres, and log priors (draw,) of each density's chain."""
     chains: dict[str, list[Manifest]] = {}
@@ -117,7 +122,7 @@ def _states(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
         # The first chain is the first in its partition.
         states[density] = pairs[at], [f"draws:STUDY/{partition}#{index}" for index in at]
         scores += summarise({density: log_prior}, "log_prior", item="first chain")
-    return TopicResult(scores, baselines=(PRIOR_ONLY,), shown=_ShownChains(states))
+    return TopicResult(scores, baselines=_baselines(shard, store), shown=_ShownChains(states))
 
 
 def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
@@ -160,7 +165,7 @@ def _summarised(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
         f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass, such as {found[0]}."
         for density, found in notable.items()
     ]
-    return TopicResult(scores, notes=notes, baselines=(PRIOR_ONLY,))
+    return TopicResult(scores, notes=notes, baselines=_baselines(shard, store))
 
 
 TOPIC = Topic(

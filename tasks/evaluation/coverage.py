@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +31,7 @@ from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.draw_sets import GROWN, draw_manifests, is_chain, read_draw_sets
+from tasks.draw_sets import GROWN, DrawSet, baselines_of, draw_manifests, is_chain, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
@@ -123,6 +123,7 @@ class _ShownCoverage(NamedTuple):
     truth_m: Array
     dots: Mapping[str, _Dots]
     seed_m: Array | None
+    baselines: Collection[str]
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
@@ -141,14 +142,16 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
     generator = stream(shard.seed, TOPIC.name, split)
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
     truth, places = truth[chosen], [places[at] for at in chosen]
-    draws, parts, dots = _ready_draws(store, draw_refs)
+    draws, parts, dots, baselines = _ready_draws(store, draw_refs)
     compared = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {name: curve_of_parts(truth, parts.get(name) or _parts(pairs)) for name, pairs in draws.items()}
     levels = real_frame_levels(truth, others, generator)
     scores = coverage_scores(curves, levels, split=split)
     scores += realism_scores(compared, np.concatenate([truth, others]), generator, split=split)
-    shown = _ShownCoverage(split, words, curves, levels, truth, dots, _first_seed(store, shard.refs("first_seed")))
-    return TopicResult(scores, notes, baselines=_baselines({score.method for score in scores}), shown=shown)
+    shown = _ShownCoverage(
+        split, words, curves, levels, truth, dots, _first_seed(store, shard.refs("first_seed")), baselines
+    )
+    return TopicResult(scores, notes, baselines=(*baselines, _REAL), shown=shown)
 
 
 def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
@@ -158,7 +161,11 @@ def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
         "baselines are dashed, grey lines are as many real pairs in place of draws (Yin et al. 2018, fig. 9). "
         "By interaction: by distances between both people's joints."
     )
-    yield Picture(f"coverage-{shown.split}.svg", caption, coverage_figure(shown.curves, shown.levels, shown.words))
+    yield Picture(
+        f"coverage-{shown.split}.svg",
+        caption,
+        coverage_figure(shown.curves, shown.levels, shown.words, shown.baselines),
+    )
     try:
         plane = PairMap.of(shown.truth_m[:_NUM_MAPPED])
     except InputError:
@@ -187,15 +194,16 @@ def _tabulate(scores: ScoresOf) -> list[TextTable]:
 @kept()
 def _ready_draws(
     store: Store, refs: tuple[ArtifactRef, ...]
-) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots]]:
-    """Return all sets of draws, made ready for all shards of a worker: those that together are few enough, and dots."""
-    own = {name: found.in_order for name, found in read_draw_sets(store, refs).items()}
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots], list[str]]:
+    """Return all sets of draws, made ready for all shards of a worker if they are few enough, dots, and baselines."""
+    drawn, first = read_draw_sets(store, refs), draws_from_first_seeds(store, refs)
+    own = {name: found.in_order for name, found in drawn.items()}
     most = max(map(len, own.values()), default=0)
     counts = sorted({max(1, round(share * most)) for share in _MAPPED_SHARES})
-    draws = own | draws_from_first_seeds(store, refs)
+    draws = own | {name: found.in_order for name, found in first.items()}
     is_kept = sum(map(len, draws.values())) <= _MAX_KEPT
     parts = {name: tuple(_parts(pairs)) for name, pairs in draws.items() if is_kept}
-    return draws, parts, {name: _dots(pairs, counts) for name, pairs in own.items()}
+    return draws, parts, {name: _dots(pairs, counts) for name, pairs in own.items()}, baselines_of(drawn | first)
 
 
 def _dots(pairs_m: np.ndarray, counts: Sequence[int]) -> _Dots:
@@ -237,7 +245,7 @@ def _split(
     return np.concatenate(wanted), np.concatenate(others), places
 
 
-def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[str, np.ndarray]:
+def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[str, DrawSet]:
     """Return the draws from the first seed alone of each density that has many others: how far chains walk."""
     facts = {ref: DrawFacts.of(one) for ref in refs if is_chain(one := store.manifest(ref))}
     seeds: dict[str, set[int]] = {}
@@ -245,7 +253,7 @@ def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[st
         seeds.setdefault(fact.density, set()).add(fact.seed_index)
     first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
     own = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
-    return {f"{name}{_FIRST_SEED}": found.in_order for name, found in read_draw_sets(store, own).items()}
+    return {f"{name}{_FIRST_SEED}": found for name, found in read_draw_sets(store, own).items()}
 
 
 def curve_points(num_draws: int, num_points: int) -> list[int]:
@@ -272,11 +280,6 @@ def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[n
     if coverage > levels[0]:
         return 0.0
     return float(np.exp(np.interp(-coverage, -np.minimum.accumulate(levels), np.log(counts.astype(np.float64)))))
-
-
-def _baselines(methods: Iterable[str]) -> set[str]:
-    """Return the methods that others are compared with: real frames, and draws of the prior alone in any set."""
-    return {name for name in methods if name == _REAL or name.startswith(PRIOR_ONLY)}
 
 
 def coverage_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> list[Score]:
@@ -312,7 +315,9 @@ def realism_scores(
     return summarise(distances, "draw_to_nearest_real_D_C", "m", split=split)
 
 
-def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, words: str) -> bytes:
+def coverage_figure(
+    curves: Mapping[str, CoverageCurve], levels: CoverageCurve, words: str, baselines: Collection[str] = ()
+) -> bytes:
     """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, fig. 9), beside real frames."""
     panels, at = [], {method: one.num_draws.astype(np.float64) for method, one in curves.items()}
     for measure, (name, unit) in _MEASURES.items():
@@ -320,9 +325,7 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
         real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
         own = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
         levels_of = {f"{count} real": float(value) for count, value in real}
-        panels.append(
-            CurvePanel(f"to the nearest draw, {_MEASURE_WORDS[measure]}{end}", own, _baselines(curves), levels_of)
-        )
+        panels.append(CurvePanel(f"to the nearest draw, {_MEASURE_WORDS[measure]}{end}", own, baselines, levels_of))
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
 
 

@@ -33,11 +33,10 @@ from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.interaction.pair_map import PairMap
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import PairPlace, SeenPair, annotated_pairs, read_all_seen, with_views
-from tasks.draw_sets import density_of, draw_manifests, read_draw_sets
+from tasks.draw_sets import baselines_of, density_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import SequenceFacts
@@ -66,19 +65,19 @@ _DRAWN_SHARE = 0.13
 _WORDS = {"leave_one_out": "left out", "held_out": "held out"}
 _METRIC = "leave_one_out_d_I"
 _NEAREST, _REAL = "nearest_annotation", "real_frames"
-_BASELINES = (PRIOR_ONLY, _NEAREST, _REAL)
 
 
 class _ShownLeaveOneOut(NamedTuple):
     """What is drawn: curves by part and method, annotations (n, 2, 17, 2), and those that draws of methods are nearest.
 
-    `left_out_m` (k, 2, 17, 2) are annotations that draws were not made from.
+    `left_out_m` (k, 2, 17, 2) are annotations that draws were not made from.  Curves of `baselines` are dashed.
     """
 
     curves: Mapping[str, Mapping[str, NearestCurve]]
     images_m: Array
     nearest_m: Mapping[str, Array]
     left_out_m: Array
+    baselines: Collection[str]
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -112,9 +111,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLeaveOneOut]:
         refuse_learned(store, draw_refs, truth.held_out)
     generator = stream(shard.seed, "left_out", "draws")  # a label, not a name: another one draws others
     # In random order, so that every seed counts from the start.
+    sets = read_draw_sets(store, draw_refs)
+    baselines = (*baselines_of(sets), _NEAREST, _REAL)
     draws = {
         name: draw_set.pairs_m[generator.permutation(len(draw_set.pairs_m))[:_MAX_DRAWS]]
-        for name, draw_set in read_draw_sets(store, draw_refs).items()
+        for name, draw_set in sets.items()
     }
     if real := [pair.pair_m for pair in map(truth.pair, used) if pair is not None]:
         draws[_REAL] = np.array(real)[generator.permutation(len(real))].astype(np.float32)
@@ -138,8 +139,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLeaveOneOut]:
         _images(some_of(list(group.values()), count))
         for group, count in ((used, _NUM_MAPPED), (unused["leave_one_out"], _NUM_UNUSED_MAPPED))
     ]
-    shown = _ShownLeaveOneOut(curves, mapped[0], _nearest_annotations(store, draw_refs, used), mapped[1])
-    return TopicResult(scores, _notes(unused, curves), {"": items} if curves else {}, _BASELINES, shown)
+    shown = _ShownLeaveOneOut(curves, mapped[0], _nearest_annotations(store, draw_refs, used), mapped[1], baselines)
+    return TopicResult(scores, _notes(unused, curves), {"": items} if curves else {}, baselines, shown)
 
 
 def _draw(shown: _ShownLeaveOneOut) -> Iterator[Picture]:
@@ -151,7 +152,7 @@ def _draw(shown: _ShownLeaveOneOut) -> Iterator[Picture]:
             "pairs in place of draws, which need ground truth. The grey line is the nearest image among those used. "
             "Left out are images of the same sources; held out: images of takes that nothing was learned from."
         )
-        yield Picture("leave-one-out.svg", caption, nearest_draw_figure(shown.curves))
+        yield Picture("leave-one-out.svg", caption, nearest_draw_figure(shown.curves, shown.baselines))
     caption = (
         "A map of the annotations: what is near is alike (Yin et al. 2018, fig. 5b); some are drawn as people. "
         "Circles: annotations that draws are nearest to, larger where more draws are. Crosses: annotations left "
@@ -241,7 +242,7 @@ def nearest_draw_scores(curves: Mapping[str, NearestCurve], *, split: str) -> li
     return scores
 
 
-def nearest_draw_figure(curves: Mapping[str, Mapping[str, NearestCurve]]) -> bytes:
+def nearest_draw_figure(curves: Mapping[str, Mapping[str, NearestCurve]], baselines: Collection[str] = ()) -> bytes:
     """Draw how near draws come as they grow in number, a panel for each part; a method with one point is a level."""
     panels = []
     for split, methods in curves.items():
@@ -253,7 +254,7 @@ def nearest_draw_figure(curves: Mapping[str, Mapping[str, NearestCurve]]) -> byt
             CurvePanel(
                 f"distance to the nearest (cm), {_WORDS[split]}",
                 {name: both for name, both in means.items() if len(both[0]) > 1},
-                _BASELINES,
+                baselines,
                 {name: float(mean[0]) for name, (at, mean) in means.items() if len(at) == 1},
             )
         )

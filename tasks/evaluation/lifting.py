@@ -31,7 +31,7 @@ from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.skeletons import PAIR17
-from pasdedeux.spread import some_of
+from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.annotated_pairs import (
     PLACE_COLUMNS,
@@ -381,6 +381,9 @@ def _completed(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
 def _between(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Hide frames of takes, and score what is put in their place."""
     truth, pool, _ = _truth_and_pool(shard, store)
+    learned = [take for name, take in truth.takes.items() if name not in truth.held_out]
+    real = np.concatenate([pool[:0], *learned]).astype(np.float32)
+    real = real[evenly_spread(len(real), len(pool))]
     scores: list[Score] = []
     judged: list[Items] = []
     for split, takes in _learned_and_held_out(truth):
@@ -390,11 +393,14 @@ def _between(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
             starts = every[number :: len(_GAPS)]
             if not starts:
                 continue
-            filled = in_between_errors([takes[take][frame : frame + gap + 1] for take, frame in starts], pool)
-            means = {method: np.array([span.mean() for span in spans]) for method, spans in filled.items()}
+            spans = [takes[take][frame : frame + gap + 1] for take, frame in starts]
+            filled = in_between_errors(spans, pool)
+            if split == "held_out" and len(real):
+                filled["real_frames"] = in_between_errors(spans, real)["draws"]
+            means = {method: np.array([span.mean() for span in found]) for method, found in filled.items()}
             scores += summarise(means, "in_between_error", "m", split=split, item=f"{gap} frames")
             between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
-            errors = {method: np.concatenate(spans) for method, spans in filled.items()}
+            errors = {method: np.concatenate(found) for method, found in filled.items()}
             judged += _held_out(split, Items(errors, *between))
     return TopicResult(scores, items={_BETWEEN: Items.joined(judged)}, baselines=_BASELINES)
 

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
+from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.verdicts import Criterion, Items
+from pasdedeux.evaluation.verdicts import Criterion, Items, lead_interval
 from pasdedeux.interaction.nearest import cartesian_distances
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import DUPLICATE_M, MIN_LOG_PRIOR
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store
-from tasks.draw_sets import draw_manifests, read_draw_sets
+from tasks.draw_sets import GROWN, baselines_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
 from tasks.facts import TakeFacts
@@ -48,6 +48,7 @@ _UNITS = {
 }
 _HEADINGS = {
     "set_coverage_D_C": "held-out pair to the set",
+    "set_coverage_lead": "nearer than to lifted pairs by",
     "set_precision_D_C": "pair to real frames",
     "set_implausible": "implausible",
     "set_penetration": "penetration",
@@ -79,7 +80,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
         return TopicResult(notes=["Sets of pairs are not judged: no frame is held out, or none is learned from."])
     truth = np.stack([known.takes[name][at] for name, at in places])
     frames = np.concatenate(real)[generator.permutation(sum(map(len, real)))]
-    sets = {name: found.in_order for name, found in read_draw_sets(store, draw_refs).items()}
+    drawn = read_draw_sets(store, draw_refs)
+    sets = {name: found.in_order for name, found in drawn.items()}
     selected = select_pairs(store, (*draw_refs, *shard.refs("chains"), *shard.refs("limits")), SIZE)
     if selected.columns:
         sets[_SELECTED] = np.stack(selected.columns["pair17_m"])
@@ -99,9 +101,16 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
                 Score(metric, name, value, _UNITS[metric], split="held_out", at=float(count), count=count)
                 for metric, value in figures.items()
             ]
-    baselines = [name for name in sets if name.startswith(PRIOR_ONLY)]
+    items = Items(nearest, *known.where(places))
+    for name in nearest:
+        # The same held-out pairs, so that which of them are hard does not count.
+        if name != GROWN and (paired := items.paired([name], [GROWN])) and paired.baselines:
+            lead = float(nearest[GROWN].mean() - nearest[name].mean())
+            low, high = lead_interval(paired, GROWN)
+            found = Score("set_coverage_lead", name, lead, "m", split="held_out", at=float(size), count=len(places))
+            scores.append(replace(found, low=low, high=high))
     notes = [f"Selected were {selected.in_words()}."] if selected.columns else []
-    return TopicResult(scores, notes, {"": Items(nearest, *known.where(places))}, baselines)
+    return TopicResult(scores, notes, {"": items}, baselines_of(drawn))
 
 
 def judge_set(
@@ -146,7 +155,7 @@ def set_table(scores: Sequence[Score]) -> list[TextTable]:
             lambda score: (in_words(score.method), f"{score.at:,.0f}"),
             _HEADINGS,
             lambda score: score.metric,
-            lambda found: format_value(found[0].value, found[0].unit),
+            lambda found: format_score(found[0]),
         )
     ]
 

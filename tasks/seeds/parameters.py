@@ -8,7 +8,7 @@ from pasdedeux.sampling.prior import PriorSettings
 from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters, StageName
 
-SEEDS = StageName("seeds", 13)
+SEEDS = StageName("seeds", 14)
 
 NUM_CHOSEN, LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE = 2, 20, 1000
 """Seeds of each kind where a study does not say how many."""
@@ -46,6 +46,13 @@ class SeedsParameters(PriorSettings, Parameters):
         le=1_000_000,
         description="Annotations lifted from the seeds by frontier growth; 0: no growth; when not given "
         f"{GROWN_OF_2D_ALONE} where the seeds are lifted from 2D alone, else none",
+    )
+    num_over_time: int = Field(
+        60,
+        ge=0,
+        le=10_000,
+        description="Frames of each video lifted together by poses of other takes, from which others grow too; none "
+        "where there are no other takes, or nothing grows",
     )
     num_filled: int = Field(
         0, ge=0, le=1_000_000, description="Pairs drawn between grown ones that are alike, at most; see `fill`"
@@ -90,6 +97,13 @@ class GrownSeeds(PriorSettings, Parameters):
     first_index: int
     num_grown: int
     num_starts: int
+
+
+class OverTimeSeeds(PriorSettings, Parameters):
+    """Seeds lifted from the frames of a video together."""
+
+    first_index: int
+    num_over_time: int
 
 
 class FilledSeeds(PriorSettings, Parameters):

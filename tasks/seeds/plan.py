@@ -1,4 +1,4 @@
-"""Which seeds there will be: a shard for each that stands alone, one each for all lifted, grown and filled ones."""
+"""Which seeds there will be: a shard for each that stands alone and each video, one each for all others of a kind."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.facts import TakeFacts, shares_takes
+from tasks.facts import SequenceFacts, TakeFacts, shares_takes
+from tasks.over_time import is_video
 from tasks.seeds.files import SeedFile, load_seed
 from tasks.seeds.parameters import (
     GROWN_OF_2D_ALONE,
@@ -21,6 +22,7 @@ from tasks.seeds.parameters import (
     FrameSeed,
     GrownSeeds,
     LiftedSeedsShard,
+    OverTimeSeeds,
     SeedsParameters,
 )
 from tasks.stage import Shard, StageInputs
@@ -28,6 +30,8 @@ from tasks.stage import Shard, StageInputs
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     """Plan a shard per seed from takes that are not held out or from files, one each for lifted, grown and filled ones.
+
+    Where pairs grow, so one for each video that may be learned from, if there are takes that it does not show.
 
     Where there is none of the former, seeds are lifted from 2D alone, unless the study says how many.
 
@@ -67,12 +71,15 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         shards.append(SEEDS.shard(inputs, "lifted", "lifted", lifted, {**read, "torso_basis": bases}))
     if num_grown and shards:
         first = len(shards) + max(num_lifted - 1, 0)
+        videos = _of_videos(inputs, parameters, takes, first)
+        shards += videos
+        first += parameters.num_over_time * len(videos)
         after = tuple(shard.key for shard in shards)
         grown = parameters.model_copy(update={"num_grown": num_grown}).part(GrownSeeds, first_index=first)
         shards.append(SEEDS.shard(inputs, "grown", "grown", grown, read, after=after))
         if parameters.num_filled:
             filled = parameters.part(FilledSeeds, first_index=first + num_grown)
-            limits, last = {"joint_limits": read["joint_limits"]}, (shards[-1].key,)
+            limits, last = {"joint_limits": read["joint_limits"]}, tuple(one.key for one in (*videos, shards[-1]))
             shards.append(SEEDS.shard(inputs, "filled", "filled", filled, limits, after=last))
     return shards
 
@@ -141,6 +148,21 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters, takes: Mapping
         SEEDS.shard(inputs, f"seed{one.seed_index}", "seed", one, {"poses": own, "joint_limits": limits})
         for one, own in zip(wanted, poses, strict=True)
     ]
+
+
+def _of_videos(
+    inputs: StageInputs, parameters: SeedsParameters, takes: Mapping[str, Manifest], first_index: int
+) -> list[Shard]:
+    """Plan a shard for each artifact with a video that may be learned from; it reads takes that are not shown there."""
+    shards: list[Shard] = []
+    for video in inputs.of("annotations") if parameters.num_over_time else ():
+        facts = SequenceFacts.of(video)
+        others = [take for take in takes.values() if not shares_takes(take, video)]
+        if others and is_video(facts) and not facts.is_held_out and facts.num_persons >= 2:
+            own = parameters.part(OverTimeSeeds, first_index=first_index + parameters.num_over_time * len(shards))
+            read = {"annotations": [video], "poses": others, "joint_limits": inputs.of("joint_limits")}
+            shards.append(SEEDS.shard(inputs, "over_time", f"{video.partition}-{video.name}", own, read))
+    return shards
 
 
 def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, file: SeedFile) -> Shard:

@@ -1,34 +1,43 @@
-"""Seeds made: frames read or chosen, files taken in, annotations lifted, grown over and filled in between."""
+"""Seeds made: frames read or chosen, files taken in, annotations lifted, also over time, grown over and filled in."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from pasdedeux.completion.neighbours import nearest_rigid
+from pasdedeux.projections.sources import op14_from_working
+from pasdedeux.reconstruction.annotated import MAX_PAIRS, as_pair17, database_of_draws
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import FARTHEST_M, Growth, grow
 from pasdedeux.sampling.neighbourhoods import NUM_PARENTS, fill
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
+from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.annotated_pairs import PlacedPairs, gather
+from tasks.annotated_pairs import PairPlace, PlacedPairs, gather, read_people
 from tasks.committing import commit, followed
-from tasks.facts import SeedFacts, TakeFacts, merge_takes
+from tasks.facts import SeedFacts, SequenceFacts, TakeFacts, merge_takes
+from tasks.over_time import couples_of, lift_couple
 from tasks.priors import read_limits, read_torso_basis
+from tasks.projections import ProjectionsParameters
 from tasks.seeds.files import FileSeed, credits_of, read_seed
-from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeedsShard
+from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeedsShard, OverTimeSeeds
 from tasks.stage import Shard
 from tasks.streams import stream
 from tasks.takes import read_motion
 
 MIN_GROWN_SHARE = 0.5
 """Share of the annotations asked for that must have grown to be no warning."""
+_COPIED = ("generation", "sequence_id", "sequence_frame", "sequence_person_id")
+"""Columns that a filled pair has from its first parent."""
 _NUM_LOOKED_AT = 300
 """Frames of each take among which seeds are chosen: the choice compares every frame with every chosen one."""
 
@@ -45,6 +54,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return _take_in(shard, store, options)
         case LiftedSeedsShard() as options:
             return _lift(shard, store, options)
+        case OverTimeSeeds() as options:
+            return _lift_over_time(shard, store, options)
         case FilledSeeds() as options:
             return _fill(shard, store, options)
     return _grow(shard, store, shard.options(GrownSeeds))
@@ -162,12 +173,50 @@ def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
 
+def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> ArtifactRef:
+    """Lift frames of a video together, by the poses of other takes; trunks and heads are those of the nearest pair."""
+    ref = shard.ref("annotations")
+    couples = couples_of(
+        SequenceFacts.of(store.manifest(ref)),
+        sorted(place for place, people in read_people(store, [ref]).items() if len(people) == 2),
+    )
+    every = [place for own in couples.values() for place in own]
+    wanted = {every[at] for at in evenly_spread(len(every), options.num_over_time)}
+    takes = np.concatenate([read_motion(store, one, "pair17_m")["pair17_m"] for one in shard.refs("poses")])
+    takes = takes[evenly_spread(len(takes), MAX_PAIRS)]
+    database = cache(lambda: database_of_draws(takes, np.deg2rad(ProjectionsParameters().pitches_deg).tolist()))
+    found: dict[PairPlace, tuple[np.ndarray, float]] = {}
+    for own in couples.values():
+        found |= lift_couple(store, ref, own, wanted, database)
+    known = op14_from_working(takes, PAIR17)
+    places = sorted(wanted.intersection(found))
+    pairs = [
+        gauge_fix(as_pair17(people, takes[nearest_rigid(known, people, count=1).draw[0]]))
+        for people, _ in (found[place] for place in places)
+    ]
+    pairs_m = np.array(pairs).reshape(-1, 2, PAIR17.num_joints, 3)
+    quality = seed_quality(pairs_m, read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
+    kept = np.flatnonzero(quality.is_possible)
+    columns = _columns(
+        "over_time",
+        options.first_index + np.arange(len(kept)),
+        pairs_m[kept],
+        quality.log_prior[kept],
+        sequence_id=[places[at].sequence_id for at in kept],
+        sequence_frame=[places[at].frame for at in kept],
+        sequence_person_id=[places[at].person_id for at in kept],
+    )
+    facts = SeedFacts(
+        kind="grown_seeds", num_grown=len(kept), num_left=len(wanted) - len(kept), takes=_takes(shard, store)
+    )
+    return commit(shard, store, tables={"seeds": columns}, facts=facts)
+
+
 def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     """Grow pairs over the annotations from the seeds of the shards before this one."""
     before = followed(shard, store)
-    roots = np.concatenate(
-        [np.asarray(store.read(manifest.ref, "seeds")["pair17_m"], dtype=np.float64) for manifest in before]
-    )
+    tables = [store.read(manifest.ref, "seeds", columns=["seed_index", "pair17_m"]) for manifest in before]
+    roots = np.concatenate([np.asarray(table["pair17_m"], dtype=np.float64) for table in tables])
     placed = _annotated(shard, store)
     limits = read_limits(store, shard.refs("joint_limits"))
     growth = grow(
@@ -180,12 +229,13 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
     # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
     possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
+    own = options.first_index + np.arange(len(growth.pairs_m))
     columns = _columns(
         "grown",
-        options.first_index + np.arange(len(growth.pairs_m)),
+        own,
         growth.pairs_m,
         growth.log_prior,
-        parent_seed_index=growth.parent,
+        parent_seed_index=np.concatenate([*(table["seed_index"] for table in tables), own])[growth.parent],
         generation=growth.generation,
         image_distance_m=growth.image_distance_m,
         **_places(placed, growth.entry),
@@ -203,9 +253,10 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
 
 
 def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
-    """Fill in pairs between the grown ones of the shard before this one."""
-    (before,) = followed(shard, store)
-    grown = store.read(before.ref, "seeds")
+    """Fill in pairs between the grown ones of the shards before this one."""
+    before = followed(shard, store)
+    tables = [store.read(one.ref, "seeds", columns=[*_COPIED, "seed_index", "pair17_m"]) for one in before]
+    grown = {name: [value for table in tables for value in table[name]] for name in tables[0]}
     filling = fill(
         np.asarray(grown["pair17_m"], dtype=np.float64),
         options.num_filled,
@@ -221,16 +272,13 @@ def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
         filling.log_prior,
         filled_from=np.asarray(grown["seed_index"])[filling.parents],
         filled_weight=filling.weights,
-        **{
-            name: [grown[name][row] for row in first]
-            for name in ("generation", "sequence_id", "sequence_frame", "sequence_person_id")
-        },
+        **{name: [grown[name][row] for row in first] for name in _COPIED},
     )
     facts = SeedFacts(
         kind="filled_seeds",
         num_grown=count,
         num_refused=filling.num_refused,
-        takes=merge_takes(before, *(store.manifest(ref) for ref in shard.all_inputs)),
+        takes=merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
     )
     is_short = count < options.num_filled
     verdict = Verdict(

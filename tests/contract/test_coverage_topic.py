@@ -12,7 +12,7 @@ from pasdedeux.interaction.coverage import CoverageCurve
 from storage_schema import Store
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.draw_sets import read_draw_sets
+from tasks.draw_sets import baselines_of, read_draw_sets
 from tasks.evaluation import coverage, reconstruction
 from tasks.evaluation.coverage import (
     TOPIC,
@@ -35,7 +35,12 @@ def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_
     sweep = {"grown": {"starts": "grown"}}
     made = run(chains.plan(given, ChainsParameters(**options, sweep=sweep)), chains, store)
     found = draws_from_first_seeds(store, tuple(one.ref for one in made))
-    assert {name: len(pairs) for name, pairs in found.items()} == {"prior_only_first_seed": 8}
+    assert {name: len(draws.pairs_m) for name, draws in found.items()} == {"prior_only_first_seed": 8}
+    # A sweep of the prior alone is a baseline, whatever its name.
+    assert baselines_of(read_draw_sets(store, [one.ref for one in made if "draws" in one.tables])) == [
+        "grown",
+        "prior_only",
+    ]
 
 
 def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(inputs: Any) -> None:

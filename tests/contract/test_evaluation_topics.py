@@ -6,7 +6,7 @@ import base64
 import html
 import json
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.reconstruct import Method
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, SourceCredit, Store
 from tasks import generation, ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
@@ -44,6 +45,22 @@ EVERYTHING = {
     "predictor": {"num_steps": 1},
 }
 """Settings under which every topic has something to do on the small study."""
+ERRORS = {
+    "contact_drift_mean",
+    "contact_error",
+    "E_r",
+    "error_root_kept",
+    "identity_switches_per_minute",
+    "in_between_error_mean",
+    "in_between_lifted_error_mean",
+    "JME_mean",
+    "lifted_pair_error_mean",
+    "occluded_joint_error_mean",
+    "view_error_mean",
+}
+"""Figures that are errors against the truth: it has none of them."""
+SHARES = {"accuracy": 100.0}
+"""Figures of which the truth has all there is."""
 
 
 def inputs_of(store: Store, stage: Stage) -> StageInputs:
@@ -64,8 +81,28 @@ def page_of(store: Store, made: Sequence[Manifest]) -> str:
     return html.unescape(text.replace("<code>", "`").replace("</code>", "`"))
 
 
+Judged = list[tuple[Criterion, Items, Collection[str]]]
+
+
 @pytest.fixture(scope="module")
-def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, list[Manifest], str]:
+def judged() -> Iterator[Judged]:
+    """Give what is judged while the module runs: criterion, items and baselines."""
+    found: Judged = []
+    verdict = Criterion.verdict
+
+    def heard(criterion: Criterion, items: Items, baselines: Collection[str]) -> Verdict | None:
+        found.append((criterion, items, baselines))
+        return verdict(criterion, items, baselines)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Criterion, "verdict", heard)
+        yield found
+
+
+@pytest.fixture(scope="module")
+def evaluated(
+    small: BuiltStudy, judged: Judged, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Store, list[Manifest], str]:
     """Return the small study's store with every topic scored in it, what was made, and the page."""
     store = Store(small.copy_store(tmp_path_factory.mktemp("topics")))
     _detect(store)
@@ -166,6 +203,25 @@ def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_basel
             assert paired.method in set(table["method"][is_mine]) - marked, (part.partition, name)
             judged += 1
     assert judged > 8
+
+
+@pytest.mark.parametrize("topic", [topic for topic in TOPICS if topic.criteria], ids=lambda topic: topic.name)
+def test_no_criterion_fails_the_truth(evaluated: Any, judged: Judged, topic: Topic[Any]) -> None:
+    """The truth takes the place of what is judged: a yardstick that it fails measures something else."""
+    own = [one for one in judged if one[0] in topic.criteria]
+    assert own, f"the small study has nothing that topic {topic.name} judges"
+    for criterion, items, baselines in own:
+        if criterion.metric in ERRORS:
+            truth = np.zeros(len(items.takes))
+        elif criterion.metric in SHARES:
+            truth = np.full(len(items.takes), SHARES[criterion.metric])
+        else:
+            truth = items.values["real_frames"]
+        beside = {name: found for name, found in items.values.items() if name in baselines}
+        values = {(criterion.methods or ("judged",))[0]: truth}
+        verdict = criterion.verdict(replace(items, values=beside | values), baselines)
+        assert verdict is not None
+        assert verdict.level is not Level.FAIL, verdict.reason
 
 
 def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.arrays import merge_axes
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working
@@ -18,8 +20,10 @@ from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import chains, lifting
 from tasks.chains import ChainsParameters
+from tasks.draw_sets import GROWN, read_draw_sets
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
+from tasks.facts import SeedFacts
 from tasks.judgements import verdict_of
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs
@@ -222,6 +226,35 @@ def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
         pairs = np.asarray(one["pair17_m"], dtype=float)[np.asarray(one["method"]) == "over_time"]
         sizes.append(np.median(bone_lengths(PAIR17, pairs)))
     assert sizes[1] > 1.15 * sizes[0]
+
+
+def test_frames_of_a_video_are_lifted_by_other_takes_and_others_grow_from_them(inputs: Any) -> None:
+    store, tables = inputs
+    film, film_views = put_film(store, tables, {"purpose": "video", "rate_hz": 30.0})
+    both = {"annotations": [*tables["annotations"], film], "views": [*tables["views"], film_views]}
+    given = with_seeds(store, {**tables, **both}, num_seeds=1, num_grown=20, num_filled=5, num_over_time=16)
+    names = [one.name for one in given.of("seeds")]
+    assert names == ["seed", f"{film.partition}-{film.name}", "grown", "filled"]
+    first, over_time, grown, filled = given.of("seeds")
+    # Nothing of the video's own take: that would be to know the answer.
+    assert {store.manifest(ref).partition for ref in over_time.inputs if "poses" in store.manifest(ref).tables} == {
+        "two"
+    }
+    assert SeedFacts.of(over_time).start_indices == ()
+    tables_of = [store.read(one.ref, "seeds") for one in (first, over_time, grown, filled)]
+    found = tables_of[1]
+    assert set(found["origin"]) == {"over_time"}
+    assert set(found["sequence_id"]) == {"film"}
+    indices = np.concatenate([table["seed_index"] for table in tables_of])
+    assert len(set(indices.tolist())) == len(indices)
+    assert set(tables_of[2]["parent_seed_index"]) <= set(indices.tolist())
+    # As far from the truth as the other take is from this one, not as far as one image is.
+    truth = pairs_of("one")[np.asarray(found["sequence_frame"])]
+    assert cartesian_dissimilarity(*(merge_axes(some, 1, -1) for some in (found["pair17_m"], truth))).mean() < 0.15
+    draws = read_draw_sets(store, [one.ref for one in given.of("seeds")[1:]])
+    assert len(draws[GROWN].pairs_m) == found.num_rows + tables_of[2].num_rows
+    stills = with_seeds(store, tables, num_seeds=1, num_grown=20)
+    assert [one.name for one in stills.of("seeds")] == ["seed", "grown"]
 
 
 def put_projections(store: Store, take_id: str, *, origin: str = "take") -> Manifest:

@@ -2,7 +2,7 @@
 
 A straight line between the joints of two poses shortens limbs and cuts through what people do not do.  Draws near the
 line show where such pairs lie, but for what they miss of the two poses; the path is the compromise of both that is
-smooth, with exact bone lengths.  Draws that are far from everything give the straight line, with exact bones.
+smooth, with exact bone lengths.  Draws that are far from both give the straight line, with exact bones.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NUM_NEAREST = 16
 _LINE_DEVIATION_M = 0.05
 """Distance of a true pair from the straight line half-way."""
 _DRAW_DEVIATION_M = 0.1
-"""Distance of a true pair from the mean of its nearest draws, where that of the ends is known."""
+"""Distance of a true pair from the mean of its nearest draws, at least: that of the ends is known."""
 _BEND_M = 0.005
 """Second difference of a joint's path between neighbouring frames."""
 _NUM_ROUNDS = 2
@@ -61,11 +61,16 @@ def fill_between(first_m: Array, last_m: Array, num_between: int, draws_m: Draws
     ends = np.stack([first_m, last_m])
     lengths = bone_lengths(PAIR17, ends).mean(axis=0)
     # What draws miss of both ends they miss between them too.
-    missed = straight_between(*ends - np.stack([_local_mean(draws_m, end) for end in ends]), num_between=num_between)
+    missed = ends - np.stack([_local_mean(draws_m, end) for end in ends])
+    draw_weight = max(_DRAW_DEVIATION_M**2, float(np.mean(np.sum(missed**2, axis=-1)))) ** -1
     path = line
     for _ in range(_NUM_ROUNDS):
-        shown = missed + np.stack([_local_mean(draws_m, pair) for pair in path])
-        path = np.stack([_lead(ends[:, p], line[:, p], shown[:, p], line_weight, lengths[p]) for p in (0, 1)], 1)
+        shown = np.stack([_local_mean(draws_m, pair) for pair in path]) + straight_between(
+            missed[0], missed[1], num_between
+        )
+        path = np.stack(
+            [_lead(ends[:, p], line[:, p], shown[:, p], line_weight, draw_weight, lengths[p]) for p in (0, 1)], 1
+        )
     return path
 
 
@@ -78,9 +83,10 @@ def _local_mean(draws_m: Draws, pair_m: Array) -> Array:
     return np.tensordot(weight / weight.sum(), near.pairs_m, axes=1)
 
 
-def _lead(ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, lengths_m: Array) -> Array:
+def _lead(
+    ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, draw_weight: float, lengths_m: Array
+) -> Array:
     """Return one person's path (frame, joint, 3) between two poses: near line and draws, smooth, bone lengths exact."""
-    draw_weight = _DRAW_DEVIATION_M**-2
     total = line_weight + draw_weight
     middle = (line_weight[:, None, None] * line_m + draw_weight * shown_m) / total[:, None, None]
     targets = np.concatenate([ends_m[:1], middle, ends_m[1:]])

@@ -28,6 +28,8 @@ MIN_FILLED_LOG_PRIOR = -100.0
 """Log prior below which a filled pair is refused: half of what a selected pair may have."""
 _CONCENTRATION = 0.7
 """Of the Dirichlet distribution of the weights: below 1 a few parents count more than the others."""
+_NUM_ROWS = 500
+"""Pairs whose distances to all others are in memory together: 80 MB beside 10,000 others."""
 _MAX_TRIES = 20
 """Means that are drawn for each pair that is asked for, at most."""
 _MIN_KEPT_SHARE = 0.05
@@ -69,9 +71,7 @@ def fill(
     if count < NUM_PARENTS:
         none = np.zeros((0, NUM_PARENTS))
         return Filling(pairs_m[:0], none.astype(np.int64), none, np.zeros(0), 0)
-    nearest = np.argsort(cartesian_distances(pairs_m, pairs_m), axis=1, kind="stable")
-    # A pair comes first among its own parents, also where another one is just like it.
-    parents = np.stack([np.r_[row, near[near != row][: NUM_PARENTS - 1]] for row, near in enumerate(nearest)])
+    parents = _with_nearest(pairs_m)
     charts = [PairChart(pair) for pair in pairs_m]
     parameters = [_parameters(chart, pairs_m[rows]) for chart, rows in zip(charts, parents, strict=True)]
     selector = PairSelector(1, min_room=count + num)
@@ -97,6 +97,15 @@ def fill(
         is_full = len(rows) == count and len(kept) < _MIN_KEPT_SHARE * count
     means, origins, weights, log_prior = map(np.concatenate, zip(*rounds, strict=True))
     return Filling(means, origins, weights, log_prior, num_tried - num_filled)
+
+
+def _with_nearest(pairs_m: Array) -> npt.NDArray[np.int64]:
+    """Return each pair, also where another one is just like it, and the six nearest others, (pair, 7)."""
+    parents = []
+    for first in range(0, len(pairs_m), _NUM_ROWS):
+        nearest = np.argsort(cartesian_distances(pairs_m[first : first + _NUM_ROWS], pairs_m), axis=1, kind="stable")
+        parents += [np.r_[row, near[near != row][: NUM_PARENTS - 1]] for row, near in enumerate(nearest, first)]
+    return np.stack(parents)
 
 
 def _parameters(chart: PairChart, parents_m: Array) -> Array:

@@ -209,7 +209,17 @@ def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> Artif
     facts = SeedFacts(
         kind="grown_seeds", num_grown=len(kept), num_left=len(wanted) - len(kept), takes=_takes(shard, store)
     )
-    return commit(shard, store, tables={"seeds": columns}, facts=facts)
+    is_good = len(kept) >= MIN_GROWN_SHARE * len(wanted)
+    verdict = Verdict(
+        Level.PASS if is_good else Level.WARN,
+        "" if is_good else "the frames of the video could not be lifted together, or do not keep the joint limits",
+        figure="frames lifted over time",
+        value=100.0 * len(kept) / max(len(wanted), 1),
+        unit="%",
+        count=len(wanted),
+        thing="frames",
+    )
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
 
 def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:

@@ -9,6 +9,7 @@ duplicates are refused.  Our own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -76,7 +77,7 @@ def fill(
     parameters = [_parameters(chart, pairs_m[rows]) for chart, rows in zip(charts, parents, strict=True)]
     selector = PairSelector(1, min_room=count + num)
     selector.add(pairs_m, *np.ones((2, count)))
-    rounds: list[tuple[Array, Array, Array, Array]] = []
+    rounds: list[tuple[npt.NDArray[Any], ...]] = []
     num_filled = num_tried = 0
     is_full = False
     while num_filled < num and num_tried < _MAX_TRIES * num and not is_full:

@@ -79,7 +79,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         shards.append(SEEDS.shard(inputs, "grown", "grown", grown, read, after=after))
         if parameters.num_filled:
             filled = parameters.part(FilledSeeds, first_index=first + num_grown)
-            limits, last = {"joint_limits": read["joint_limits"]}, tuple(one.key for one in (*videos, shards[-1]))
+            limits, last = {"joint_limits": read["joint_limits"]}, tuple(shard.key for shard in (*videos, shards[-1]))
             shards.append(SEEDS.shard(inputs, "filled", "filled", filled, limits, after=last))
     return shards
 

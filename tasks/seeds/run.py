@@ -182,7 +182,7 @@ def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> Artif
     )
     every = [place for own in couples.values() for place in own]
     wanted = {every[at] for at in evenly_spread(len(every), options.num_over_time)}
-    takes = np.concatenate([read_motion(store, one, "pair17_m")["pair17_m"] for one in shard.refs("poses")])
+    takes = np.concatenate([read_motion(store, take, "pair17_m")["pair17_m"] for take in shard.refs("poses")])
     takes = takes[evenly_spread(len(takes), MAX_PAIRS)]
     database = cache(lambda: database_of_draws(takes, np.deg2rad(ProjectionsParameters().pitches_deg).tolist()))
     found: dict[PairPlace, tuple[np.ndarray, float]] = {}
@@ -265,7 +265,7 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
 def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
     """Fill in pairs between the grown ones of the shards before this one."""
     before = followed(shard, store)
-    tables = [store.read(one.ref, "seeds", columns=[*_COPIED, "seed_index", "pair17_m"]) for one in before]
+    tables = [store.read(manifest.ref, "seeds", columns=[*_COPIED, "seed_index", "pair17_m"]) for manifest in before]
     grown = {name: [value for table in tables for value in table[name]] for name in tables[0]}
     filling = fill(
         np.asarray(grown["pair17_m"], dtype=np.float64),

@@ -7,14 +7,13 @@ know both the store and the science.
 
 from __future__ import annotations
 
-import hashlib
 import html
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +35,6 @@ from tasks.curation import IDENTITY, choices_for, choices_in, content_columns, n
 from tasks.facts import TakeFacts
 from tasks.shown_motions import read_shown_motion
 from tasks.takes import read_take, read_variants, take_of
-from tasks.training.items import interaction_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,8 +45,6 @@ LOOK = "look.html"
 _MAX_SHOWN = 60
 """Draws that a player shows, evenly spread."""
 _DRAWS_PER_S = 5.0
-_KEPT = 8
-"""Variants that a data set of pairs keeps in memory."""
 _MAX_PLAYERS = 12
 """Players on a page beside files, at most."""
 _OF_PAIRS = ("draws", "seeds", "lifted_pairs", "in_betweens")
@@ -293,138 +289,6 @@ class Data:
             quality = self.store.read(ref, "variant_quality", columns=["variant_id", "verdict"])
             for index, (name, verdict) in enumerate(zip(*(quality[one] for one in quality), strict=True)):
                 yield Clip(f"{source.name}, {name}", source.take, self.store, source, part, index, str(verdict))
-
-
-SplitName = Literal["train", "validation", "test"]
-GroupName = Literal["take", "interaction"]
-
-
-class PairDataset:
-    """Windows of variants with their sources and contacts: a map-style data set for torch's `DataLoader`.
-
-    An item has `source` and `variant`, (window, 2, 22, 3) in metres, `contacts`, the weights between the bones of both
-    people (window, 22, 22), all float32, and `name` and `start`.  Items stand in a fixed order; variants that failed
-    are left out.  Takes never stand on two sides: those held out test, or a fifth of all where none is; a tenth of the
-    others, at least one of three, validates.  With `by="interaction"` performances of one interaction stay together.
-
-    Args:
-        reference: `variants:study`, `variants:study/partition` or `variants:dataset@version`.
-        window: Frames of an item.
-        split: `train`, `validation` or `test`.
-        store: Store or its folder.
-        stride: Frames from the start of a window to the next; half a window when not given.
-        by: What stays together.
-        seed: Decides which takes validate, and test where none is held out.
-        curation: File of choices, else those of the study or dataset: variants that are rejected are left out; the
-            sides of takes stay.
-
-    Raises:
-        InputError: The reference is not of variants, another argument is not allowed, no window is on this side (says
-            why), or the file holds no choices.
-    """
-
-    def __init__(
-        self,
-        reference: str,
-        window: int = 60,
-        split: SplitName = "train",
-        *,
-        store: Store | str | Path = "store",
-        stride: int | None = None,
-        by: GroupName = "take",
-        seed: int = 0,
-        curation: str | Path | None = None,
-    ) -> None:
-        table, _, where = reference.partition(":")
-        if table != "variants" or not where:
-            raise InputError(
-                f"'{reference}' is not of variants: name them as variants:study or variants:dataset@version"
-            )
-        for name, value, allowed in (("split", split, SplitName), ("by", by, GroupName)):
-            if value not in get_args(allowed):
-                raise InputError(f"{name} is {value!r}; it must be one of {', '.join(get_args(allowed))}")
-        check_whole(window, "window", minimum=1)
-        check_whole(seed, "seed", minimum=0)
-        step = max(1, window // 2) if stride is None else stride
-        check_whole(step, "stride", minimum=1)
-        data = Data(store, curation)
-        left_out = data.left_out(reference)
-        clips = [one for one in data.all_variants(reference) if one.verdict != "fail"]
-        sides = _sides([clip.take for clip in clips], seed, is_by_take=by == "take")
-        self.window = window
-        self._read: dict[int, npt.NDArray[np.float64]] = {}
-        kept = [clip for clip in clips if clip.identity not in left_out]
-        self._clips = [clip for clip in kept if sides.get(clip.take.ref) == split]
-        self._items = [
-            (number, start)
-            for number, clip in enumerate(self._clips)
-            if _is_of_pair(clip)
-            for start in range(0, _num_frames(clip) - window + 1, step)
-        ]
-        if not self._items:
-            raise InputError(f"'{reference}': {_why_no_window(kept, self._clips, window, split, by)}")
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        number, start = self._items[index]
-        clip, stop = self._clips[number], start + self.window
-        source = clip.source
-        assert source is not None, "a variant has a source"
-        if number not in self._read:
-            if len(self._read) >= _KEPT:
-                del self._read[next(iter(self._read))]
-            self._read[number] = replace(clip).positions_m
-        return {
-            "source": source.positions_m[start:stop].astype(np.float32),
-            "variant": self._read[number][start:stop].astype(np.float32),
-            "contacts": source.contacts.matrix(start, stop),
-            "name": clip.name,
-            "start": start,
-        }
-
-
-def _is_of_pair(clip: Clip) -> bool:
-    return TakeFacts.of(clip.take).num_persons == 2
-
-
-def _num_frames(clip: Clip) -> int:
-    return TakeFacts.of(clip.take).num_frames
-
-
-def _why_no_window(clips: Sequence[Clip], on_side: Sequence[Clip], window: int, split: str, by: str) -> str:
-    """Return why the variants of a side have no window of so many frames."""
-    if not clips:
-        return "every variant failed, or is left out by the choices"
-    if not on_side:
-        return f"none of the {len(clips)} variants is on the side {split}, split by {by}"
-    lengths = [_num_frames(clip) for clip in on_side if _is_of_pair(clip)]
-    whose = f"the {len(on_side)} variants on the side {split}"
-    if not lengths:
-        return f"none of {whose} is of two people"
-    return f"the longest of {whose} has {max(lengths)} frames, fewer than the window of {window}"
-
-
-def _sides(takes: Sequence[Manifest], seed: int, *, is_by_take: bool) -> dict[ArtifactRef, SplitName]:
-    """Return the side that each take stands on; takes whose interaction is tested stand on none."""
-    group = {take.ref: TakeFacts.of(take).take_id if is_by_take else interaction_of(take) for take in takes}
-    held = {take.ref for take in takes if TakeFacts.of(take).is_held_out}
-    tested = {group[ref] for ref in held}
-    rest = sorted(
-        {name for name in group.values() if name not in tested},
-        key=lambda name: hashlib.sha256(f"{seed} {name}".encode()).hexdigest(),
-    )
-    num_test = 0 if held or len(rest) < 3 else max(1, round(0.2 * len(rest)))
-    num_validation = 0 if len(rest) - num_test < 2 else max(1, round(0.1 * len(rest)))
-    ranked = dict(zip(rest, (["test"] * num_test + ["validation"] * num_validation), strict=False))
-    sides: dict[ArtifactRef, SplitName] = {}
-    for ref, name in group.items():
-        if ref in held:
-            sides[ref] = "test"
-        elif name not in tested:
-            sides[ref] = ranked.get(name, "train")  # type: ignore[assignment]
-    return sides
 
 
 def _framed(picture: Picture) -> str:

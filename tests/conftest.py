@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,6 +55,17 @@ def store(tmp_path: Path) -> Store:
     from storage_schema import Store  # late, as all that imports numpy
 
     return Store(tmp_path / "store")
+
+
+@pytest.fixture(scope="session")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Unpack clips into a cache of the tests, in this process; return its folder."""
+    from storage_schema import unpacked
+
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(unpacked, "cache_folder", lambda: folder)
+        yield folder
 
 
 @pytest.fixture(scope="module")

@@ -23,13 +23,16 @@ from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, op
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
-from tasks.data import Data, PairDataset
+from tasks.data import Data
 from tasks.facts import TakeFacts
 from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs
+from tasks.windows import PairDataset
 from tests.builders.ingest_runs import planned, run
 from tests.builders.pages import Page, in_browser
 from tests.builders.storage_rows import commit_rows
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 HELD_OUT = "hug-001"
 
@@ -135,9 +138,8 @@ def test_windows_are_the_same_in_every_order_and_process(store: Store) -> None:
     for index in (7, 19, 0):
         one, other = items[index], again[index]
         assert all(np.array_equal(one[name], other[name]) for name in one)
-        assert [one[name].shape for name in ("source", "variant", "contacts")] == [(10, 2, 22, 3)] * 2 + [(10, 22, 22)]
-    clip = items._clips[0]
-    np.testing.assert_allclose(items[2]["variant"], clip.positions_m[10:20], atol=1e-6)
+    clip = next(one for one in Data(store).variants("toy") if one.name == items[2]["name"])
+    np.testing.assert_allclose(items[2]["positions"], clip.positions_m[10:20], atol=1e-6)
 
 
 def test_torch_loads_batches_with_workers(store: Store) -> None:
@@ -145,7 +147,7 @@ def test_torch_loads_batches_with_workers(store: Store) -> None:
 
     items = PairDataset("variants:toy", 10, store=store.root)
     plain, spread = (
-        [batch["variant"] for batch in DataLoader(items, batch_size=8, num_workers=count)]  # type: ignore[arg-type]
+        [batch["positions"] for batch in DataLoader(items, batch_size=8, num_workers=count)]  # type: ignore[arg-type]
         for count in (0, 1)
     )
     assert [tuple(batch.shape) for batch in plain] == [(8, 10, 2, 22, 3)] * 2 + [(4, 10, 2, 22, 3)]
@@ -153,8 +155,8 @@ def test_torch_loads_batches_with_workers(store: Store) -> None:
 
 
 def test_what_holds_no_windows_is_said(store: Store) -> None:
-    with pytest.raises(InputError, match="'poses:toy' is not of variants"):
-        PairDataset("poses:toy", store=store.root)
+    with pytest.raises(InputError, match="'draws:toy' is not of variants or takes"):
+        PairDataset("draws:toy", store=store.root)
     with pytest.raises(InputError, match="4 variants on the side train has 30 frames, fewer than the window of 60"):
         PairDataset("variants:toy", store=store.root)
     with pytest.raises(UnknownReference, match="study 'salsa' has not run"):

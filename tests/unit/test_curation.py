@@ -31,14 +31,17 @@ from tasks.curation import (
     rejections,
     write_choices,
 )
-from tasks.data import LOOK, Data, PairDataset
+from tasks.data import LOOK, Data
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training.items import StoredVariants
 from tasks.training.parameters import TrainingParameters
 from tasks.training.plan import plan as plan_training
+from tasks.windows import PairDataset
 from tests.builders.ingest_runs import duet_store
 from tests.builders.storage_rows import put, random_columns
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 NAME = "waltz/A-uniform-0.80"
 

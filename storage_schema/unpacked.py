@@ -1,0 +1,134 @@
+"""Unpacked clips: rows of fixed width in flat files, of which any few are read by one request of the system.
+
+A Parquet file gives a row only with the thousands that are compressed with it.  What is read in any order, again and
+again, such as windows to train on, is therefore unpacked once into a folder of the cache, a third larger than the
+Parquet files.  None of its motion stays in memory; what the system caches of the files it takes back where memory is
+short.  Folders are named by the digest of what they hold, so none grows stale; any may be removed at any time.
+"""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from storage_schema.durable import HashingFile, cache_folder, write_errors
+from storage_schema.errors import CorruptArtifact
+from storage_schema.joints import JOINT_NAMES
+from storage_schema.staging import StagingFolder, clean_leftovers
+
+_JOINTS = len(JOINT_NAMES["body22"])
+CONTACT = np.dtype([("frame", "<i4"), ("pair", "<i2"), ("bones", "<i2"), ("weight", "<f4")])
+"""A contact: its frame, the number of the two people, `22 * bone + bone` of both, and its weight."""
+ROWS: Mapping[str, np.dtype] = {
+    "positions": np.dtype(("<f4", (_JOINTS, 3))),
+    "rotations": np.dtype(("<f4", (_JOINTS, 4))),
+    "mask": np.dtype(("?", (_JOINTS,))),
+    "people": np.dtype(("<f4", (_JOINTS, 4))),
+    "first_contacts": np.dtype("<i8"),
+    "contacts": CONTACT,
+}
+"""A row of each file: of a frame and person (`positions`, `rotations`, `mask`); of a person, scales of bones and the
+rest pose; of a frame, the number of its first contact, and after the last frame of a take where its contacts end; of
+a contact."""
+_CLIPS = "clips.parquet"
+
+
+class ClipWriter:
+    """Writes rows as they come, and what is said of each clip."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files = {name: HashingFile(folder / name) for name in ROWS}
+        self._clips: dict[str, list[Any]] = {}
+
+    def append(self, name: str, rows: npt.ArrayLike) -> int:
+        """Add rows to a file and return the number of the first of them."""
+        kind, file = ROWS[name], self._files[name]
+        first = file.num_bytes // kind.itemsize
+        file.write(np.ascontiguousarray(rows, dtype=kind.base).tobytes())
+        return first
+
+    def add_clip(self, **columns: Any) -> None:
+        """Say of a clip where its rows begin, and what else is known of it."""
+        for name, value in columns.items():
+            self._clips.setdefault(name, []).append(value)
+
+    def close(self) -> None:
+        """Bring all of it to the disk."""
+        with ExitStack() as files:
+            for file in self._files.values():
+                files.callback(file.close)
+            pq.write_table(pa.table(self._clips), self._folder / _CLIPS)
+
+
+class UnpackedClips:
+    """The unpacked clips of a folder, read by any number of processes; picklable, as it is only its folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._handles: dict[str, int] = {}
+        self._mapped: dict[str, npt.NDArray[Any]] = {}
+        weakref.finalize(self, _close, self._handles)
+
+    def __reduce__(self) -> tuple[type[UnpackedClips], tuple[Path]]:
+        return UnpackedClips, (self.folder,)
+
+    def clips(self) -> pa.Table:
+        """Return what is said of the clips, a row each."""
+        return pq.read_table(self.folder / _CLIPS)
+
+    def read(self, name: str, first: npt.NDArray[np.int64], into: Iterable[npt.NDArray[Any]]) -> None:
+        """Fill arrays, each contiguous, with rows of a file, from its row `first` (n,) on.
+
+        Raises:
+            CorruptArtifact: The file ends before.
+        """
+        if name not in self._handles:
+            self._handles[name] = os.open(self.folder / name, os.O_RDONLY)
+        handle, places = self._handles[name], (first * ROWS[name].itemsize).tolist()
+        for rows, place in zip(into, places, strict=True):
+            if os.preadv(handle, [rows], place) != rows.nbytes:  # type: ignore[list-item]
+                raise CorruptArtifact(f"{self.folder / name} is cut short; remove the folder, it is unpacked anew")
+
+    def read_rows(self, name: str, first: int, count: int) -> npt.NDArray[Any]:
+        """Return so many rows of a file from one on; raises what `read` raises."""
+        rows = np.empty((count, *ROWS[name].shape), ROWS[name].base)
+        self.read(name, np.array([first]), [rows])
+        return rows
+
+    def take(self, name: str, rows: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+        """Return single rows of a small file, which is mapped into memory, by their numbers, of any shape."""
+        if name not in self._mapped:
+            mapped = np.memmap(self.folder / name, ROWS[name].base, "r")
+            self._mapped[name] = np.asarray(mapped).reshape(-1, *ROWS[name].shape)
+        return self._mapped[name][rows]
+
+
+def unpacked(digest: str, write: Callable[[ClipWriter], None]) -> UnpackedClips:
+    """Return the clips of this digest: unpacked by `write` where they are not in the cache, which is one step.
+
+    Raises:
+        FullDisk: There is no room for them in the cache.
+    """
+    root = cache_folder() / "unpacked"
+    if not (folder := root / digest).is_dir():
+        clean_leftovers(root)
+        with write_errors(root), closing(StagingFolder(root)) as staging:
+            with closing(ClipWriter(staging.path)) as writer:
+                write(writer)
+            staging.take_place(folder)
+    return UnpackedClips(folder)
+
+
+def _close(handles: dict[str, int]) -> None:
+    for handle in handles.values():
+        os.close(handle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -258,6 +259,20 @@ def test_reading_a_big_folder_keeps_nothing_of_it(tmp_path: Path, own_cache: Pat
     size = sum(path.stat().st_size for path in Path(folder).iterdir())
     assert size > 70e6
     assert int(grown_kb) * 1e3 < 25e6  # a few batches of 7 MB
+
+
+def test_the_example_trains(store: Store, own_cache: Path) -> None:
+    words = [sys.executable, "examples/train_on_windows.py", "variants:drawn", "--store", str(store.root)]
+    environment = {"PASDEDEUX_CACHE": str(own_cache), "PATH": "", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [*words, "--window", "4", "--steps", "12"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
+    assert re.fullmatch(r"step 12: \d+\.\d\d cm; the source as it is \d+\.\d\d cm\n", done.stdout)
 
 
 def test_a_normaliser_of_chunks_is_that_of_the_whole_and_refuses_what_is_not_finite() -> None:

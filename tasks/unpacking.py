@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset
 import pyarrow.parquet as pq
 
 from pasdedeux.augmentation import scaled_rest, variant_rotations
@@ -159,10 +158,10 @@ def _write_stored_variants(
 
 def _write_folder(folder: Path, writer: ClipWriter) -> None:
     files = sorted((folder / "data" / "clips").glob("*.parquet"))
-    of_takes = _rows_of(files, ["take_id", "num_frames"], pc.field("variant_id").is_null())
+    of_takes = _clips_of(files, ["take_id", "variant_id", "num_frames"], are_variants=False)
     contacts = _write_folder_contacts(folder, {clip["take_id"]: clip["num_frames"] for clip in of_takes}, writer)
     takes, motions = dict[str, dict[str, Any]](), _RowGroups(folder)
-    for clip in _rows_of(files, None, pc.field("variant_id").is_null()):
+    for clip in _clips_of(files, are_variants=False):
         positions_m, world = motions.read(clip, "body22_world_unitquat")
         rest_m = np.array(clip["rest_m"], dtype=np.float64).reshape(-1, J, 3)
         said = {name: clip[name] for name in ("take_id", "rate_hz", "split", "verdict")}
@@ -172,7 +171,7 @@ def _write_folder(folder: Path, writer: ClipWriter) -> None:
         takes[clip["take_id"]] = _write_take(
             writer, said, positions_m.reshape(shape), world.reshape(shape), rest_m, first
         )
-    for clip in _rows_of(files, None, pc.field("variant_id").is_valid()):
+    for clip in _clips_of(files, are_variants=True):
         first, is_whole = _write_rows(writer, *motions.read(clip, "body22_unitquat"))
         scales, rest_m = (
             np.array(clip[name]).reshape(-1, J, size) for name, size in (("bone_scale", 1), ("rest_m", 3))
@@ -233,9 +232,14 @@ def _contacts_by_take(files: Sequence[Path]) -> Iterator[tuple[str, pa.Table]]:
         yield held[0]["take_id"][0].as_py(), pa.concat_tables(held)
 
 
-def _rows_of(files: Sequence[Path], columns: list[str] | None, wanted: pc.Expression) -> Iterator[dict[str, Any]]:
-    for batch in pyarrow.dataset.dataset(files).to_batches(columns=columns, filter=wanted, use_threads=False):
-        yield from batch.to_pylist()
+def _clips_of(
+    files: Sequence[Path], columns: list[str] | None = None, *, are_variants: bool
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of takes or of variants of the table `clips`."""
+    for path in files:
+        for batch in pq.ParquetFile(path).iter_batches(batch_size=1_000, columns=columns):
+            is_take = pc.is_null(batch["variant_id"])
+            yield from batch.filter(pc.invert(is_take) if are_variants else is_take).to_pylist()
 
 
 def _values(column: pa.ChunkedArray) -> Array:

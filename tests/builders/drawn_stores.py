@@ -74,7 +74,12 @@ def put_variants(store: Store, take: Manifest, number: int, drawn: Drawn) -> Man
     quality = random_columns("variant_quality", len(names))
     quality["bone_scale"] = [np.full(22 * count, 1.0 + 0.1 * index) for index in range(len(names))]
     quality |= {"take_id": [take.name] * len(names), "variant_id": names, "verdict": list(drawn.verdicts)}
-    facts = {"kind": "variants", "take_id": take.name, "variants": names, "told": BATCH}
+    facts = {
+        "kind": "variants",
+        "take_id": take.name,
+        "variants": names,
+        "told": BATCH | {"variants": names, "contacts": []},
+    }
     facts |= {"num_frames": drawn.num_frames, "num_persons": count, "rate_hz": 30.0}
     return put(store, "augmentation", take.name, {"variants": variants, "variant_quality": quality}, facts, (take,))
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flows.console.app import run_command_line
 from pasdedeux.errors import InputError
 from pasdedeux.learning.normalising import Normaliser
 from pasdedeux.learning.shuffling import WindowOrder
@@ -116,6 +119,29 @@ def test_windows_of_takes_are_the_takes_themselves(store: Store) -> None:
         np.testing.assert_allclose(np.linalg.norm(item["rotations"], axis=-1), 1.0, atol=1e-5)
         assert (item["scales"] == 1.0).all()
         assert item["mask"].all()
+
+
+def test_a_folder_gives_the_windows_of_the_store_that_it_was_written_from(tmp_path: Path) -> None:
+    store, _ = drawn_store(str(tmp_path / "store"), [replace(take, has_holes=False) for take in TAKES])
+    folder = tmp_path / "folder"
+    for words in (["create", "drawn", "--study", "drawn"], ["write", "drawn@1", "--out", str(folder)]):
+        assert run_command_line(["dataset", *words, "--store", str(store.root)]) == 0
+    sides = json.loads((folder / "splits.json").read_bytes())["takes"]
+    for table in ("variants", "poses"):
+        for split in ("train", "validation", "test"):
+            wanted, found = (
+                PairDataset(f"{table}:{where}", 3, split, store=store, is_normalised=True)  # type: ignore[arg-type]
+                for where in ("drawn", folder)
+            )
+            one, other = (windows[range(len(windows))] for windows in (wanted, found))
+            orders = [np.lexsort((batch["start"], batch["name"])) for batch in (one, other)]
+            assert places([one]) != []
+            assert sorted(places([one])) == sorted(places([other]))
+            assert {sides[name.partition(", ")[0]]["split"] for name in other["name"]} == {split}
+            for name in FIELDS:
+                np.testing.assert_allclose(other[name][orders[1]], one[name][orders[0]], atol=1e-4, err_msg=name)
+    with pytest.raises(InputError, match="says itself which takes stand where: by, seed and curation are for a store"):
+        PairDataset(f"variants:{folder}", 3, seed=1)
 
 
 def test_normalised_positions_have_mean_0_and_deviation_1_on_the_training_side_and_come_back(

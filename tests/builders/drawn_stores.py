@@ -76,6 +76,7 @@ def put_variants(store: Store, take: Manifest, number: int, drawn: Drawn) -> Man
     quality |= {"take_id": [take.name] * len(names), "variant_id": names, "verdict": list(drawn.verdicts)}
     facts = {
         "kind": "variants",
+        "takes": [take.name],
         "take_id": take.name,
         "variants": names,
         "told": BATCH | {"variants": names, "contacts": []},

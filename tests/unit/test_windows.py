@@ -122,7 +122,8 @@ def test_windows_of_takes_are_the_takes_themselves(store: Store) -> None:
 
 
 def test_a_folder_gives_the_windows_of_the_store_that_it_was_written_from(tmp_path: Path) -> None:
-    store, _ = drawn_store(str(tmp_path / "store"), [replace(take, has_holes=False) for take in TAKES])
+    takes = [replace(take, has_holes=False, verdicts=("pass",) * len(take.verdicts)) for take in TAKES]
+    store, _ = drawn_store(str(tmp_path / "store"), takes)
     folder = tmp_path / "folder"
     for words in (["create", "drawn", "--study", "drawn"], ["write", "drawn@1", "--out", str(folder)]):
         assert run_command_line(["dataset", *words, "--store", str(store.root)]) == 0
@@ -130,7 +131,7 @@ def test_a_folder_gives_the_windows_of_the_store_that_it_was_written_from(tmp_pa
     for table in ("variants", "poses"):
         for split in ("train", "validation", "test"):
             wanted, found = (
-                PairDataset(f"{table}:{where}", 3, split, store=store, is_normalised=True)  # type: ignore[arg-type]
+                PairDataset(f"{table}:{where}", 3, split, store=store)  # type: ignore[arg-type]
                 for where in ("drawn", folder)
             )
             one, other = (windows[range(len(windows))] for windows in (wanted, found))
@@ -139,7 +140,13 @@ def test_a_folder_gives_the_windows_of_the_store_that_it_was_written_from(tmp_pa
             assert sorted(places([one])) == sorted(places([other]))
             assert {sides[name.partition(", ")[0]]["split"] for name in other["name"]} == {split}
             for name in FIELDS:
-                np.testing.assert_allclose(other[name][orders[1]], one[name][orders[0]], atol=1e-4, err_msg=name)
+                np.testing.assert_allclose(other[name][orders[1]], one[name][orders[0]], atol=1e-6, err_msg=name)
+        normalisers = [
+            PairDataset(f"{table}:{where}", 3, store=store, is_normalised=True).normaliser
+            for where in ("drawn", folder)
+        ]
+        for name in ("mean", "deviation"):
+            np.testing.assert_allclose(*(getattr(one, name) for one in normalisers), atol=2e-6)  # six digits there
     with pytest.raises(InputError, match="says itself which takes stand where: by, seed and curation are for a store"):
         PairDataset(f"variants:{folder}", 3, seed=1)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 import pyarrow as pa
@@ -12,25 +15,8 @@ from storage_schema import TABLES, Dataset
 from storage_schema.arrow import Kind, column_kind, value_type
 from storage_schema.columns import Column
 
-_TERMS = (
-    "annotation arrayShape citeAs column containedIn data dataBiases dataCollection equivalentProperty examples "
-    "excludes extract field fileObject fileProperty fileSet format includes isArray isLiveDataset jsonPath key md5 "
-    "parentField path readLines recordSet references regex repeated replace samplingRate sdVersion separator source "
-    "subField transform unArchive value"
-)
-_CONTEXT = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "sc": "https://schema.org/",
-    "cr": "http://mlcommons.org/croissant/",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "dct": "http://purl.org/dc/terms/",
-    "conformsTo": "dct:conformsTo",
-    **{term: f"cr:{term}" for term in _TERMS.split()},
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-}
+_TEMPLATES = files("flows.templates")
+_CONTEXT = json.loads((_TEMPLATES / "croissant_context.json").read_text("utf-8"))
 _PARQUET = "application/x-parquet"
 _TYPES = {
     pa.float32(): "cr:Float32",
@@ -40,37 +26,13 @@ _TYPES = {
     pa.bool_(): "sc:Boolean",
     pa.string(): "sc:Text",
 }
-ABOUT = {
-    "dataCollection": "Motion of two people or more, from motion capture, from video, or made by closed-form "
-    "choreography; each source is named with its licence and credit. Variants are computed: the same interaction for "
-    "bodies of other sizes.",
-    "dataCollectionType": ["Observations", "Software Collection"],
-    "dataCollectionMissingData": "NaN in arrays, null in single values; joints that nobody saw are marked as such.",
-    "dataPreprocessingProtocol": [
-        "Takes are brought to metres, Y up, one rate and one floor; working skeletons are derived from its own.",
-        "The record folder holds the study, with every parameter, and the artifacts that were computed.",
-    ],
-    "dataAnnotationProtocol": "Contacts are found from the distances of capsules on bones, or stated by the study; "
-    "verdicts come from the figures of each clip, whose limits the study states.",
-    "machineAnnotationTools": ["pasdedeux"],
-    "dataUseCases": ["Training and testing of models of human motion in close contact: animation, vision, robotics."],
-    "dataLimitations": [
-        "Motion capture is least reliable where people touch. Variants are as good as their column `verdict` says.",
-        "A validation or test split of few takes says little of other interactions.",
-    ],
-    "dataBiases": ["Few takes, performers and kinds of interaction; bodies of variants are scaled, not captured."],
-    "personalSensitiveInformation": [
-        "Movement of people, without names or images; it may tell one person from another."
-    ],
-    "dataSocialImpact": "Makes motion in contact available without new capture; it can be used to imitate performers.",
-    "dataReleaseMaintenancePlan": "A version never changes; a new one lists what is new. The record rebuilds each.",
-}
+ABOUT: Mapping[str, Any] = tomllib.loads((_TEMPLATES / "about_datasets.toml").read_text("utf-8"))
 """Properties of responsible AI that hold for every dataset."""
 
 
-def croissant(dataset: Dataset, description: str, files: Mapping[str, FolderFile]) -> dict[str, Any]:
+def croissant(dataset: Dataset, description: str, data: Mapping[str, FolderFile]) -> dict[str, Any]:
     """Return the metadata of a folder with these data files."""
-    tables = sorted({name.split("/")[1] for name in files})
+    tables = sorted({name.split("/")[1] for name in data})
     licences = list(dict.fromkeys(source.licence for source in dataset.sources))
     return {
         "@context": _CONTEXT,
@@ -85,7 +47,7 @@ def croissant(dataset: Dataset, description: str, files: Mapping[str, FolderFile
         "citeAs": "; ".join(dict.fromkeys(source.credit for source in dataset.sources)),
         "datePublished": dataset.created_at,
         **{f"rai:{name}": said for name, said in ABOUT.items()},
-        "distribution": [_file_object(name, file) for name, file in files.items()]
+        "distribution": [_file_object(name, file) for name, file in data.items()]
         + [_file_set(name) for name in tables],
         "recordSet": [_record_set(table) for table in tables],
     }

@@ -38,9 +38,18 @@ _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _FEET = [*_ANKLES, *BODY22.indices(["left_toe", "right_toe"])]
 _NECK = BODY22.index("neck")
 _TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
+_TOES = BODY22.indices(["left_toe", "right_toe"])
 _STANDING = StandingSettings(away_share=1.0)
+_FLAT, _FLAT_SHARE = 0.43, 0.05
+"""Sine of the angle of the line from toe to ankle, up to which a foot lies flat (it has 0.26, one that hangs 0.73), and
+share of the frames in which a foot must, so that its floor is known."""
+_EXTENT_M = 0.1
+"""Standard deviation of the places of flat feet, across their narrower side, that tells how the floor tilts."""
 
-_OF_TAKE = ("floor_spread_m", "upright_share", "distance_m", "trunk_m", "penetration_m", "twin_m", "body_difference_m")
+_OF_TAKE = (
+    *("floor_spread_m", "floor_gap_m", "tilt_rad", "upright_share", "distance_m", "trunk_m"),
+    *("penetration_m", "twin_m", "body_difference_m"),
+)
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,11 @@ class PersonCapture:
     )
     jump_joint: str = figure("That joint, of body22")
     jump_s: float = figure("When it jumps, from the start of the take")
+    start_jump_m: float = figure(
+        "Greatest step of a joint out of the first 1/30 s that its speed after leaves",
+        (0.15, 0.6),
+        complaint="jumps by {start_jump_m:.2f} m out of its first frame, perhaps a T-pose: leave it out",
+    )
     skate_m_s: float = figure(
         "Median speed of the stiller of the feet that carry",
         (0.3, 0.6),  # capture has 0.22 at most
@@ -89,6 +103,16 @@ class PersonCapture:
         "Between the heights at which ankles stand, 5th to 95th percentile",
         (0.2, 0.4),
         complaint="feet stand at heights {floor_spread_m:.2f} m apart, as on stairs or with a wrong up_axis",
+    )
+    floor_gap_m: float = figure(
+        "Between the heights at which the flat feet of partners stand; NaN where fewer than two people have any",
+        (0.08, 0.2),
+        complaint="people stand on floors {floor_gap_m:.2f} m apart",
+    )
+    tilt_rad: float = figure(
+        "How far the floor tilts by flat feet and everybody leans the same way, the less of both; NaN if nobody stands",
+        (0.06, 0.12),
+        complaint="floor and people tilt by {tilt_rad:.2f} rad: up_axis may be wrong",
     )
     upright_share: float = figure(
         "Share of the frames in which somebody is upright",
@@ -215,12 +239,18 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
     """
     low = body22_m[..., _UP].min(axis=-1)
     floor = np.percentile(body22_m[:, :, _FEET, _UP].min(axis=(1, 2)), _FLOOR_PERCENT)
-    rise = body22_m[:, :, _NECK] - body22_m[:, :, _ANKLES].mean(axis=2)
-    ankles = body22_m[:, :, _ANKLES]
+    ankles, step = body22_m[:, :, _ANKLES], max(1, round(rate_hz * _STEP_S))
+    rise = body22_m[:, :, _NECK] - ankles.mean(axis=2)
+    is_upright = rise[..., _UP] > _UPRIGHT * _norm(rise)
+    floors_m, slope = _floors(ankles, body22_m[:, :, _TOES], rate_hz=rate_hz, step=step)
+    upright = rise[is_upright] / _norm(rise[is_upright])[:, None]
+    lean = float(_norm(upright.mean(axis=0)[_LEVEL])) if len(upright) else np.nan
     standing = ankles[..., _UP][find_standing(ankles, rate_hz=rate_hz, settings=_STANDING)]
     of_take = dict.fromkeys(_OF_TAKE, np.nan) | {
         "floor_spread_m": float(np.ptp(np.percentile(standing, [5.0, 95.0]))) if len(standing) else 0.0,
-        "upright_share": float((rise[..., _UP] > _UPRIGHT * _norm(rise)).any(axis=1).mean()),
+        "floor_gap_m": float(np.ptp(floors_m)) if len(floors_m) > 1 else np.nan,
+        "tilt_rad": float(np.fmin(np.arctan(slope), np.arcsin(lean))) if len(upright) else np.nan,
+        "upright_share": float(is_upright.any(axis=1).mean()),
     }
     lengths = np.median(bone_lengths(BODY22, body22_m), axis=0)
     statures, radii = body_height_m(BODY22, lengths), capsule_model(BODY22).radii_of(body22_m)
@@ -242,7 +272,6 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
         is_high &= nearest >= _HELD_M
         of_take |= {"distance_m": float(nearest.min(axis=0).max()), "trunk_m": min(trunk_m), "twin_m": min(twin_m)}
         of_take |= {"penetration_m": max(0.0, *depth_m), "body_difference_m": min(body_m)}
-    step = max(1, round(rate_hz * _STEP_S))
     captures = []
     for person in range(body22_m.shape[1]):
         person_m = body22_m[:, person]
@@ -266,6 +295,7 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
                 jump_m=float(third[frame, jumping]) / 2,
                 jump_joint=BODY22.joint_names[jumping],
                 jump_s=float((frame + 1.5 * step) / rate_hz),
+                start_jump_m=float(third[:step].max()),
                 skate_m_s=_skate(person_m[:, _FEET], step) * rate_hz / step,
                 sunk_m=float(np.percentile(floor - low[:, person], 95.0)),
                 floating_share=float(is_high[:, person].mean()),
@@ -277,6 +307,29 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
 
 def _norm(vectors: Array) -> Array:
     return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def _floors(ankles_m: Array, toes_m: Array, *, rate_hz: float, step: int) -> tuple[Array, float]:
+    """Return the heights at which toes of flat feet rest, of each person who has any, and the slope of these floors.
+
+    The slope is NaN where flat feet keep to a line or a place.
+
+    Args:
+        ankles_m: Ankles (frame, person, foot=2, 3), metres.
+        toes_m: Toes, likewise.
+        rate_hz: Frames per second.
+        step: Frames over which speed is taken.
+    """
+    foot = (ankles_m - toes_m)[:-step]
+    is_slow = _norm(toes_m[step:] - toes_m[:-step]) * (rate_hz / step) < _STANDING.contact_speed_m_s
+    is_flat = is_slow & (np.abs(foot[..., _UP]) < _FLAT * _norm(foot))
+    places = [toes_m[:-step, person][is_flat[:, person]] for person in range(toes_m.shape[1])]
+    places = [own for own in places if len(own) > _FLAT_SHARE * len(foot)]
+    away = np.concatenate([own - np.median(own, axis=0) for own in places] or [np.zeros((1, 3))])
+    spread = away[:, _LEVEL].T @ away[:, _LEVEL] / len(away)
+    is_wide = np.linalg.eigvalsh(spread)[0] > _EXTENT_M**2
+    slope = np.linalg.solve(spread, away[:, _LEVEL].T @ away[:, _UP] / len(away)) if is_wide else np.array([np.nan])
+    return np.array([np.median(own[:, _UP]) for own in places]), float(np.linalg.norm(slope))
 
 
 def _skate(feet_m: Array, step: int) -> float:

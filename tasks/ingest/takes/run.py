@@ -45,7 +45,7 @@ _HAS_POSITIONS_ONLY = {name for name, kind in MOTION_FORMATS.items() if not kind
 
 _WITH_BETAS = "smpl"
 """Files of this format say the body: one body of two people is an error."""
-_NO_LIMIT = (-1.0, -1.0)
+NO_LIMIT = (-1.0, -1.0)
 """Limits of a figure that is a length and too small past them."""
 
 
@@ -80,7 +80,56 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
 
 def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
     """Read the people of a take from their files and commit their poses."""
-    data = {file.sha256: read_again(file) for file in {file.sha256: file for file in shard.files}.values()}
+    data = _files(shard)
+    people, verdict = _read_people(parameters, data)
+    contacts, objects, num_frames = None, None, people[0].motion.num_frames
+    if parameters.contacts_sha256:
+        contacts = _known_contacts(parameters, num_frames, data[parameters.contacts_sha256])
+    if parameters.objects_sha256:
+        objects = _objects(parameters, data[parameters.objects_sha256], people[0].source.up_axis, num_frames)
+    return _commit(shard, store, parameters, people, parameters.floor, verdict, contacts, objects)
+
+
+@dataclass(frozen=True)
+class CapturedTake:
+    """A take as it was captured, without a store.
+
+    Args:
+        people_m: body22 (frame, person, 22, 3), metres, y up, in the files' own place.
+        rate_hz: Frames per second, those of the fastest file.
+        people: How each person's file was read.
+        figures: What was measured of each person.
+        guessed: Verdict on what of the files was guessed.
+        judged: Verdicts on the capture.
+    """
+
+    people_m: Array
+    rate_hz: float
+    people: tuple[PersonParameters, ...]
+    figures: tuple[PersonCapture, ...]
+    guessed: Verdict
+    judged: JudgedCapture
+
+
+def capture_take(shard: Shard) -> CapturedTake:
+    """Read the people of a take from their files, and measure and judge their capture as the stage does."""
+    parameters = shard.parameters
+    assert isinstance(parameters, TakeParameters)
+    own_hz = max(person.rate_hz for person in parameters.persons)
+    people, guessed = _read_people(parameters.model_copy(update={"rate_hz": own_hz}), _files(shard))
+    captured_m, rate_hz = _captured_together(people)
+    captures, judged = _check(parameters, people, captured_m, rate_hz)
+    sources = tuple(person.source for person in people)
+    return CapturedTake(captured_m, rate_hz, sources, tuple(captures), guessed, judged)
+
+
+def _files(shard: Shard) -> dict[str, bytes]:
+    """Return the content of a shard's files by its digest."""
+    return {file.sha256: read_again(file) for file in {file.sha256: file for file in shard.files}.values()}
+
+
+def _read_people(parameters: TakeParameters, data: dict[str, bytes]) -> tuple[list[_Person], Verdict]:
+    """Return the people of a take, of as many frames, and the verdict on what of their files was guessed."""
     digests = [person.motion_sha256 for person in parameters.persons]
     motions = [_read(parameters, person, data) for person in parameters.persons]
     layouts = [
@@ -112,12 +161,7 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
         people.append(_Person(captured, moved, layout, source))
     num_frames = min(person.motion.num_frames for person in people)
     people = [replace(person, motion=person.motion.first_frames(num_frames)) for person in people]
-    verdict, contacts, objects = _verdict(parameters.persons, axes, is_mirrored, motions), None, None
-    if parameters.contacts_sha256:
-        contacts = _known_contacts(parameters, num_frames, data[parameters.contacts_sha256])
-    if parameters.objects_sha256:
-        objects = _objects(parameters, data[parameters.objects_sha256], people[0].source.up_axis, num_frames)
-    return _commit(shard, store, parameters, people, parameters.floor, verdict, contacts, objects)
+    return people, _verdict(parameters.persons, axes, is_mirrored, motions)
 
 
 def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[dict[str, Any]]:
@@ -197,13 +241,7 @@ def _commit(
 
     A take that fails the check is committed without its motion where the study leaves such takes out.
     """
-    captured, captured_hz = _captured_together(people)
-    captures = check_capture(captured, rate_hz=captured_hz)
-    names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
-    limits = dict(parameters.capture.limits)
-    if not all(person.source.format == _WITH_BETAS for person in people):
-        limits["body_difference_m"] = _NO_LIMIT  # two people may well be captured on one rig
-    judged = judge_capture(captures, limits, names)
+    captures, judged = _check(parameters, people, *_captured_together(people))
     take_id = parameters.take_id
     facts = TakeFacts(
         take_id=take_id,
@@ -252,6 +290,18 @@ def _commit(
         sources=[parameters.source],
         verdict=verdict,
     )
+
+
+def _check(
+    parameters: DuetParameters | TakeParameters, people: Sequence[_Person], captured_m: Array, rate_hz: float
+) -> tuple[list[PersonCapture], JudgedCapture]:
+    """Measure and judge the capture of people (frame, person, 22, 3) by what the study allows."""
+    captures = check_capture(captured_m, rate_hz=rate_hz)
+    names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
+    limits = dict(parameters.capture.limits)
+    if not all(person.source.format == _WITH_BETAS for person in people):
+        limits["body_difference_m"] = NO_LIMIT  # two people may well be captured on one rig
+    return captures, judge_capture(captures, limits, names)
 
 
 def _captured_together(people: Sequence[_Person]) -> tuple[Array, float]:

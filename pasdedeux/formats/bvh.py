@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from io import BytesIO
 from itertools import count
 
@@ -116,6 +117,12 @@ def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion
         return hierarchy.motion(_read_rows(hierarchy, lines))
 
 
+def _hierarchy(data: bytes) -> BvhHierarchy:
+    """Read the joints of a file, and nothing of its frames."""
+    with Lines(_with_points(decode(data, "BVH file")), "BVH file") as lines:
+        return _read_hierarchy(lines)
+
+
 def _read_template(template: bytes | str) -> BvhHierarchy:
     with Lines(template, "BVH template") as lines:
         hierarchy = _read_hierarchy(lines)
@@ -140,7 +147,7 @@ BVH = MotionFormat(
     read=lambda data, companion: read_bvh(data),
     head=lambda data, companion: read_bvh_head(data),
     read_other=lambda data, companion, person: read_bvh(data, person),
-    count_people=lambda data: _read(data).hierarchy.num_people,
+    count_people=lambda data: _hierarchy(data).num_people,
 )
 """A hierarchy and Euler angles.  It states its rate, rounded; never its unit, nor which axis points up."""
 
@@ -298,11 +305,19 @@ def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
 
 
 def _read(data: bytes | str, num_held: int | None = None) -> _BvhFile:
-    """Read a file, or a sample of one that holds so many frames."""
-    data, has_commas = decode(data, "BVH file"), False
-    if "," in data and _COMMAS.search(data) and not _POINTS.search(data):
-        data, has_commas = _COMMAS.sub(lambda number: number[0].replace(",", "."), data), True
-    with Lines(data, "BVH file") as lines:
+    """Read a file, or a sample of one that holds so many frames; the last small ones are remembered."""
+    return _read_small(data) if num_held is None and len(data) <= _LARGE_BYTES else _read_all(data, num_held)
+
+
+@lru_cache(maxsize=4)
+def _read_small(data: bytes | str) -> _BvhFile:
+    return _read_all(data, None)
+
+
+def _read_all(data: bytes | str, num_held: int | None) -> _BvhFile:
+    decoded = decode(data, "BVH file")
+    text = _with_points(decoded)
+    with Lines(text, "BVH file") as lines:
         hierarchy = _read_hierarchy(lines)
         num_frames = parse_integer(_stated(lines, "Frames:"), "the number of frames")
         frame_time = _stated(lines, "Frame Time:")
@@ -311,8 +326,15 @@ def _read(data: bytes | str, num_held: int | None = None) -> _BvhFile:
         counted = compare_count(num_frames, num_held or len(values))
     hierarchy, values = _without_scales(hierarchy, values)
     rate_hz, note = rate_from_frame_time(frame_time)
-    notes = counted, note, "its decimal commas are read as points" if has_commas else ""
+    notes = counted, note, "its decimal commas are read as points" if text != decoded else ""
     return _BvhFile(hierarchy, values, rate_hz, tuple(filter(None, notes)))
+
+
+def _with_points(text: str) -> str:
+    """Return text with points for the decimal commas of a file that has no decimal point."""
+    if "," in text and _COMMAS.search(text) and not _POINTS.search(text):
+        return _COMMAS.sub(lambda number: number[0].replace(",", "."), text)
+    return text
 
 
 def _without_scales(hierarchy: BvhHierarchy, values: Array) -> tuple[BvhHierarchy, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -35,12 +36,14 @@ def turn_joints(angles_rad: Array, channels: Sequence[str], *, is_first_outermos
     """
     step = 1 if is_first_outermost else -1
     turned = identity_unitquat(len(angles_rad), len(channels))
-    column = 0
+    column, alike = 0, defaultdict[str, list[tuple[int, list[int]]]](list)
     for joint, letters in enumerate(channels):
         turns = [at for at, letter in enumerate(letters) if letter in "XYZ"][::step]
-        block = angles_rad[:, [column + at for at in turns]]
-        turned[:, joint] = unitquat_from_euler(block, "".join(letters[at] for at in turns))
+        alike["".join(letters[at] for at in turns)].append((joint, [column + at for at in turns]))
         column += len(letters)
+    for axes, joints in alike.items():  # those that turn about the same axes at once
+        columns = [own for _, own in joints]
+        turned[:, [joint for joint, _ in joints]] = unitquat_from_euler(angles_rad[:, columns], axes)
     return turned
 
 

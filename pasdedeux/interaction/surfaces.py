@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -113,18 +114,19 @@ def standing_out(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton)
         gap_m: Gaps of the surfaces (T, pair), metres.
         skeleton: Whose joints.
     """
-    weight = np.ones(gap_m.shape)
+    weight, pairs = np.ones(gap_m.shape), tuple(map(tuple, bones.tolist()))
     for side in (0, 1):
         for end in (0, 1):
-            closest = gap_m[:, _beside(bones, side, end, skeleton)].min(axis=-1)
+            closest = gap_m[:, _beside(pairs, side, end, skeleton)].min(axis=-1)
             at_end = fade(np.abs(share[..., side] - end), 0.0, _AT_END)
             weight *= 1.0 + at_end * np.expm1((closest - gap_m) / _BESIDE_M)
     return weight
 
 
-def _beside(bones: Indices, side: int, end: int, skeleton: Skeleton) -> Indices:
+@lru_cache(maxsize=64)
+def _beside(pairs: tuple[tuple[int, int], ...], side: int, end: int, skeleton: Skeleton) -> Indices:
     """Return which pairs have a next bone, at the beginning (0) or end of the pair's, and the pair itself (pair, k)."""
-    joints, places = skeleton.num_joints, {pair: place for place, pair in enumerate(map(tuple, bones.tolist()))}
+    joints, places = skeleton.num_joints, {pair: place for place, pair in enumerate(pairs)}
     meeting = [[edge[1] for edge in skeleton.bones if joint in edge] for joint in range(joints)]
     found = []
     for pair in places:

@@ -36,15 +36,13 @@ def forward_kinematics(
     """
     world_unitquat = np.empty(np.shape(local_unitquat))
     positions = np.empty((*np.shape(local_unitquat)[:-1], 3))
-    for joint in skeleton.order:
-        parent = skeleton.parents[joint]
-        if parent < 0:
-            world_unitquat[..., joint, :] = local_unitquat[..., joint, :]
-            positions[..., joint, :] = root_translation_m
-        else:
-            world_unitquat[..., joint, :] = multiply(world_unitquat[..., parent, :], local_unitquat[..., joint, :])
-            carried = rotate(world_unitquat[..., parent, :], rest_offsets_m[..., joint, :])
-            positions[..., joint, :] = positions[..., parent, :] + carried
+    world_unitquat[..., skeleton.root, :] = local_unitquat[..., skeleton.root, :]
+    positions[..., skeleton.root, :] = root_translation_m
+    for parents, children in skeleton.levels:
+        world = world_unitquat[..., parents, :]
+        world_unitquat[..., children, :] = multiply(world, local_unitquat[..., children, :])
+        carried = rotate(world, rest_offsets_m[..., children, :])
+        positions[..., children, :] = positions[..., parents, :] + carried
     return positions, world_unitquat
 
 

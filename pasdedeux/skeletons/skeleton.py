@@ -84,13 +84,30 @@ class Skeleton:
         return tuple(order)
 
     @cached_property
+    def levels(self) -> tuple[tuple[list[int], list[int]], ...]:
+        """Parents and children of the bones that are one, two, ... bones away from the root."""
+        levels, parents = [], [self.root]
+        while pairs := [(parent, child) for parent in parents for child in self.children(parent)]:
+            levels.append(([parent for parent, _ in pairs], [child for _, child in pairs]))
+            parents = levels[-1][1]
+        return tuple(levels)
+
+    @cached_property
     def bones(self) -> tuple[tuple[int, int], ...]:
         """All (parent, child) pairs, by child index."""
         return tuple((parent, child) for child, parent in enumerate(self.parents) if parent >= 0)
 
     def children(self, joint: int) -> tuple[int, ...]:
         """Return the indices of a joint's children."""
-        return tuple(child for child, parent in enumerate(self.parents) if parent == joint)
+        return self._children[joint]
+
+    @cached_property
+    def _children(self) -> tuple[tuple[int, ...], ...]:
+        found: list[list[int]] = [[] for _ in self.parents]
+        for child, parent in enumerate(self.parents):
+            if parent >= 0:
+                found[parent].append(child)
+        return tuple(map(tuple, found))
 
     def index(self, joint_name: str) -> int:
         """Return the index of a joint, or an InputError that lists the known ones."""

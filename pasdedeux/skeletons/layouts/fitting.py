@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -52,6 +52,13 @@ def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
         skeleton: The joints of the file.
         rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
     """
+    name = _fitting_name(skeleton)
+    return None if name is None else _fitted(LAYOUTS[name], skeleton, rest_offsets)
+
+
+@lru_cache(maxsize=256)
+def _fitting_name(skeleton: Skeleton) -> str | None:
+    """Return the name of that layout; files of one kind, of which there may be thousands, have the same joints."""
     joints = by_normal_name(skeleton.joint_names)
     if _are_several(skeleton):
         return None
@@ -63,7 +70,7 @@ def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
     if not fitting:
         return None
     fitting = [layout for layout in fitting if layout is not _LAST] or fitting
-    return _fitted(max(fitting, key=lambda layout: _fullness(layout, joints)), skeleton, rest_offsets)
+    return max(fitting, key=lambda layout: _fullness(layout, joints)).name
 
 
 def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:

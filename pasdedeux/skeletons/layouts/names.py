@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 
 SIDES = ("left", "right")
 _SIDE_WORDS = {"left": "left", "lft": "left", "right": "right", "rght": "right", "rgt": "right"}
@@ -32,6 +33,12 @@ def normal_names(joint_names: Sequence[str]) -> list[str]:
     >>> normal_names(["Bip01 Pelvis", "Bip01 L Thigh", "Bip01 R Thigh", "Bip01 Spine1"])
     ['pelvis', 'left.thigh', 'right.thigh', 'spine1']
     """
+    return list(_normal_names(tuple(joint_names)))
+
+
+@lru_cache(maxsize=256)
+def _normal_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the same; files of one kind, of which there may be thousands, have the same joints."""
     copies = [re.sub(r"(\.\d+|#\d*)+$", "", name) for name in joint_names]
     repeated = Counter(copies)
     kept = [copy if repeated[copy] == 1 else name for copy, name in zip(copies, joint_names, strict=True)]
@@ -43,10 +50,10 @@ def normal_names(joint_names: Sequence[str]) -> list[str]:
     known = {tuple(row) for row in words}
     normal = [_normal(row, known) for row in words]
     repeated = Counter(normal)
-    return [
+    return tuple(
         name if repeated[name] == 1 else _normal(row, known, keeps=True)
         for name, row in zip(normal, words, strict=True)
-    ]
+    )
 
 
 def by_normal_name(joint_names: Sequence[str]) -> Mapping[str, str]:

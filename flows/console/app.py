@@ -44,6 +44,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "diff": "Compare two finished runs or two versions of datasets; only differences are shown, scores last.",
     },
     "Your own files": {
+        "check": "Check motions of two people, whoever made them, and show the worst.",
         "annotate": "Annotate every frame of a film.",
         "reconstruct": "Reconstruct the 3D motion of people from 2D keypoints, with a study's projection database.",
         "retarget": "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.",

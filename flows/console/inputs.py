@@ -96,11 +96,17 @@ def _take_of_files(
         with _read_section(section) as found:
             yield found
     except InputError as error:
-        said = str(error).replace("set metres_per_unit for this take", "say --unit")
-        said = said.replace("set rate_hz for this take", "say --rate")
+        said = in_options(str(error))
         if re.search(r"; set \w+|\[ingest\.mappings\]|persons", said):
             said += "; `pasdedeux study new take.toml --from FILE ...` writes such keys, and TAKE may be take.toml"
         raise type(error)(said) from None
+
+
+def in_options(said: str) -> str:
+    """Return what is said of a study's keys in the words of a command that has options for them."""
+    for key, option in (("metres_per_unit", "--unit"), ("rate_hz", "--rate")):
+        said = said.replace(f"set {key} for this take", f"say {option}").replace(f"set {key}", f"say {option}")
+    return said
 
 
 def _section_of_study(path: str) -> IngestParameters:

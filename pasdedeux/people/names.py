@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import PurePath
 from string import ascii_uppercase
 
 
@@ -31,3 +34,70 @@ def person_index(name: str) -> int:
 def person_names(count: int) -> list[str]:
     """Return the names of so many people, in their order."""
     return [person_name(index) for index in range(count)]
+
+
+_PERSON = re.compile(
+    r"[a-f]|(s|p|person|subject|actor|performer|dancer|player|character)\d{1,2}|lead(er)?|follow(er)?|(fe)?male|(wo)?man"
+)
+"""A part of a file's name that says who it is of."""
+
+
+def partners_of(paths: Iterable[PurePath]) -> list[tuple[PurePath, ...]]:
+    """Group files of one person each into takes by their names: those of partners differ in one part alone.
+
+    That part says who it is (`waltz_A`, `waltzB`, `push_S1`, folders `A/` and `B/`); where none does, it is the one
+    that leaves the smallest groups within a folder, the first of several, as in `60_03` with `61_03`.  Files without
+    a partner are groups of their own.
+
+    >>> [[one.name for one in take] for take in partners_of(map(PurePath, ["60_1.bvh", "61_1.bvh", "60_2.bvh"]))]
+    [['60_1.bvh', '61_1.bvh'], ['60_2.bvh']]
+    """
+    parts = {path: _parts(path) for path in sorted(paths)}
+    found: list[list[PurePath]] = []
+    for at in range(max(map(len, parts.values()), default=0)):
+        for group in _differing(parts, -1 - at):
+            if len(group) > 1 and all(_PERSON.fullmatch(parts[path][-1 - at]) for path in group):
+                found.append(group)
+                parts = {path: own for path, own in parts.items() if path not in group}
+    while parts:
+        folder, length = next((path.parent, len(own)) for path, own in parts.items())
+        same = {path: own for path, own in parts.items() if (path.parent, len(own)) == (folder, length)}
+        ways = [_differing(same, at) for at in range(length)] or [[[path] for path in same]]
+        likeliest = min(ways, key=_likelihood)
+        found += likeliest
+        parts = {path: own for path, own in parts.items() if path not in same}
+    return sorted(map(tuple, found))
+
+
+def take_name(files: Sequence[PurePath]) -> str:
+    """Return the name of the take that files of these names are of: without who it is of, else that of the first.
+
+    >>> take_name([PurePath("in/waltz_A.bvh"), PurePath("in/waltz_B.bvh")]), take_name([PurePath("in/60_03.bvh")])
+    ('waltz', '60_03')
+    """
+    stem = files[0].stem
+    who = re.search(r"(?<=[a-z0-9])[A-Z]$", stem) or re.search(r"[A-Za-z0-9]*$", stem)
+    if len({path.stem for path in files}) < 2 or who is None or not _PERSON.fullmatch(who[0].lower()):
+        return stem
+    return stem[: who.start()].rstrip(" ._-") or files[0].parent.name or stem
+
+
+def _parts(path: PurePath) -> tuple[str, ...]:
+    """Return the parts of a path without its ending; a capital letter at the end of a name is one (`waltzA`)."""
+    text = re.sub(r"(?<=[a-z0-9])([A-Z])(?=/|$)", r"_\1", path.with_suffix("").as_posix())
+    return tuple(re.findall("[a-z0-9]+", text.lower()))
+
+
+def _differing(parts: Mapping[PurePath, tuple[str, ...]], at: int) -> list[list[PurePath]]:
+    """Return the files in groups whose names differ in the part at a place alone; others are groups of their own."""
+    groups: dict[tuple[str, ...], list[PurePath]] = {}
+    for path, own in parts.items():
+        place = at % len(own) if -len(own) <= at < len(own) else len(own)
+        groups.setdefault((*own[:place], f"{place}", *own[place + 1 :]), []).append(path)
+    return list(groups.values())
+
+
+def _likelihood(groups: Sequence[Sequence[PurePath]]) -> tuple[float, int]:
+    """Return a key that is least where groups are likely takes: the mean size of those of several, and their number."""
+    sizes = [len(group) for group in groups if len(group) > 1]
+    return sum(sizes) / len(sizes) if sizes else float("inf"), len(groups)

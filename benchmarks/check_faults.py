@@ -1,0 +1,281 @@
+"""Does `pasdedeux check` find faults: planted in clips of duets and salsa, by kind, beside the same clips untouched.
+
+    python -m benchmarks.check_faults DATA                  200 clips of 5 s, every kind of fault in each
+    python -m benchmarks.check_faults DATA --clips 40       fewer
+    python -m benchmarks.check_faults DATA --drift 100      contacts that drift, in variants of so many of the clips
+
+DATA is a folder with CMU's salsa, `cmu_salsa_bvh`, as PASDEDEUX_DATA names it.  Half of the clips are of built-in duets
+in drawn styles and bodies, half are windows of salsa.  A family is a dance or a take.  For each kind the table has a
+limit chosen on every second family, half way between untouched and planted clips, and what that limit and the limits
+that are declared find, and of what they accuse untouched clips, in the other families.  A fault is found where a figure
+of its kind is past its first limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from flows.console.context import say
+from flows.console.display import format_table
+from pasdedeux.augmentation import Augmenter, Source
+from pasdedeux.augmentation import quality as against
+from pasdedeux.augmentation.variations import Variation
+from pasdedeux.choreography.duets import DUETS, draw_styles, make_duet
+from pasdedeux.evaluation.motion_check import CheckedMotion
+from pasdedeux.figure import Figure, complaints, limits_of
+from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.interaction.surfaces import surface_gaps
+from pasdedeux.plausibility.capsules import capsule_model
+from pasdedeux.plausibility.capture import JUDGED, check_capture
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.layouts import LAYOUTS
+from tasks.checking import pair_up, read_motion
+
+Array = npt.NDArray[np.float64]
+Plant = Callable[[Array, float, np.random.Generator], Array]
+CLIP_S = 5.0
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Two people (frame, 2, 22, 3), metres, y up, on their floor."""
+
+    family: str
+    name: str
+    people_m: Array
+    rate_hz: float
+
+
+def offset_floor(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Lift or lower one person by 10 to 40 cm."""
+    planted = people_m.copy()
+    planted[:, generator.integers(2), :, 1] += generator.choice([-1, 1]) * generator.uniform(0.1, 0.4)
+    return planted
+
+
+def tilt_floor(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Tilt the whole scene by 5 to 15 degrees about a level axis through its middle on the floor."""
+    angle, heading = np.deg2rad(generator.uniform(5.0, 15.0)), generator.uniform(0.0, 2.0 * np.pi)
+    middle = people_m.mean(axis=(0, 1, 2)) * [1.0, 0.0, 1.0]
+    axis = np.array([np.cos(heading), 0.0, np.sin(heading)])
+    points = people_m - middle
+    along = (points @ axis)[..., None] * axis
+    return np.asarray(middle + along + np.cos(angle) * (points - along) + np.sin(angle) * np.cross(axis, points))
+
+
+def slide_feet(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Slide one person to and fro over the floor, at a median speed of 0.4 to 1 m/s."""
+    speed, heading, period_s = generator.uniform(0.4, 1.0), generator.uniform(0.0, 2.0 * np.pi), 2.0
+    phase = 2.0 * np.pi * np.arange(len(people_m)) / rate_hz / period_s
+    way = speed * np.sqrt(2.0) * period_s / (2.0 * np.pi) * np.sin(phase)
+    planted = people_m.copy()
+    planted[:, generator.integers(2)] += way[:, None, None] * np.array([np.cos(heading), 0.0, np.sin(heading)])
+    return planted
+
+
+def jump_at_first(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Put one person elsewhere in the first frame, by 0.3 to 1 m, or make it a pose of another moment at the origin."""
+    planted, person = people_m.copy(), generator.integers(2)
+    if generator.random() < 0.5:
+        heading = generator.uniform(0.0, 2.0 * np.pi)
+        planted[0, person] += generator.uniform(0.3, 1.0) * np.array([np.cos(heading), 0.0, np.sin(heading)])
+    else:
+        planted[0, person] = people_m[len(people_m) // 2, person]
+        planted[0, person] -= planted[0, person, 0] * [1.0, 0.0, 1.0]
+    return planted
+
+
+def swap_people(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Exchange the two from some moment of the middle on."""
+    start = int(len(people_m) * generator.uniform(0.2, 0.8))
+    return np.concatenate([people_m[:start], people_m[start:, ::-1]])
+
+
+def resize(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Make one person and the way 1.4 to 2.5 times as large or small, as a wrong unit does."""
+    planted = people_m.copy()
+    planted[:, generator.integers(2)] *= generator.uniform(1.4, 2.5) ** generator.choice([-1, 1])
+    return planted
+
+
+def push_together(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
+    """Shift B towards A in every frame until they are 15 to 20 cm inside each other for a fifth of the time."""
+    radii, wanted = capsule_model(BODY22).radii_of(people_m), generator.uniform(0.15, 0.20)
+    way = (people_m[:, 0, 0] - people_m[:, 1, 0]) * [1.0, 0.0, 1.0]
+    way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 0.05)
+    step = max(1, round(rate_hz / 10.0))
+    for shift in np.arange(0.0, 2.0, 0.03):
+        planted = people_m.copy()
+        planted[:, 1] += shift * way[:, None]
+        if np.percentile(-surface_gaps(planted[::step], radii, BODY22).closest_m, 80.0) >= wanted:
+            break
+    return planted
+
+
+FAULTS: Mapping[str, Plant] = {
+    "floor offset": offset_floor,
+    "floor tilt": tilt_floor,
+    "foot slide": slide_feet,
+    "first-frame jump": jump_at_first,
+    "swapped bodies": swap_people,
+    "wrong size": resize,
+    "penetration": push_together,
+}
+
+
+def duet_clips(count: int, generator: np.random.Generator) -> Iterator[Clip]:
+    """Yield clips of every built-in duet of two people."""
+    names = [name for name, dance in DUETS.items() if dance.num_people == 2]
+    for name in names:
+        for number, style in enumerate(draw_styles(2, -(-count // len(names)), generator)):
+            duet = make_duet(name, duration_s=2.0 * CLIP_S, **style)
+            people = np.stack([derive_working_poses(one, LAYOUTS["body22"]).body22_m for one in duet.motions], axis=1)
+            start = int(generator.uniform(0.0, CLIP_S) * duet.motions[0].rate_hz)
+            stop = start + round(CLIP_S * duet.motions[0].rate_hz)
+            yield Clip(name, f"{name}-{number}", people[start:stop], duet.motions[0].rate_hz)
+
+
+def salsa_clips(data: Path, count: int, generator: np.random.Generator) -> Iterator[Clip]:
+    """Yield windows of every take of salsa."""
+    files = sorted((data / "cmu_salsa_bvh").glob("*.bvh"))
+    takes = [read_motion(one) for one in pair_up(dict.fromkeys(files, 1))]
+    for number in range(count):
+        take, name = takes[number % len(takes)], f"salsa {number % len(takes)}"
+        length = round(CLIP_S * take.rate_hz)
+        start = int(generator.integers(len(take.people_m) - length))
+        yield Clip(name, f"{name} at {start}", take.people_m[start : start + length], take.rate_hz)
+
+
+def drift(people_m: Array, source: Source, generator: np.random.Generator) -> Array:
+    """Turn an arm that touches the partner by 5 to 15 cm at its hand, or shift who touches, for a second or more."""
+    contacts = source.contacts()
+    frame, place = np.nonzero(contacts.is_held)
+    at = generator.integers(len(frame))
+    person, bone = divmod(int(contacts.bones()[frame[at], place[at], generator.integers(2)]), BODY22.num_joints)
+    away = 2.0 * (np.arange(len(people_m)) - frame[at]) / source.rate_hz
+    share, far = np.exp(-(away**4)), generator.uniform(0.05, 0.15)
+    heading = generator.normal(size=3)
+    planted, name = people_m.copy(), BODY22.joint_names[bone]
+    if not name.endswith(("elbow", "wrist")):
+        heading[1] = 0.0
+        planted[:, person] += (share * far)[:, None, None] * heading / np.linalg.norm(heading)
+        return planted
+    shoulder, elbow, wrist = BODY22.indices([f"{name.split('_')[0]}_{part}" for part in ("shoulder", "elbow", "wrist")])
+    arm = people_m[:, person, [elbow, wrist]] - people_m[:, person, [shoulder]]
+    axis = np.cross(arm[:, 1], heading)
+    axis = (axis / np.linalg.norm(axis, axis=-1, keepdims=True))[:, None]
+    angle = (share * far / np.linalg.norm(arm[:, 1], axis=-1))[:, None, None]
+    along = (arm * axis).sum(axis=-1, keepdims=True) * axis
+    turned = along + np.cos(angle) * (arm - along) + np.sin(angle) * np.cross(np.broadcast_to(axis, arm.shape), arm)
+    planted[:, person, [elbow, wrist]] = people_m[:, person, [shoulder]] + turned
+    return planted
+
+
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "floor offset": ("floor_gap_m", "sunk_m", "floating_share", "floor_spread_m"),
+    "floor tilt": ("tilt_rad", "floor_spread_m", "upright_share"),
+    "foot slide": ("skate_m_s",),
+    "first-frame jump": ("start_jump_m", "jump_m"),
+    "swapped bodies": ("jump_m", "speed_m_s"),
+    "wrong size": ("stature_factor",),
+    "penetration": ("penetration_m", "trunk_m"),
+    "contact drift": ("contact_drift_p95_m", "contact_drift_extremity_m", "contact_drift_mixed_m"),
+}
+"""Figures that find each kind; a limit is chosen for the first."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A clip, planted or not: the value of each kind's first figure, and the figures that are past a limit."""
+
+    family: str
+    values: Mapping[str, float]
+    past: frozenset[str]
+
+
+def measure(clip: Clip) -> Measured:
+    """Measure the capture of a clip."""
+    people = check_capture(clip.people_m, rate_hz=clip.rate_hz)
+    limits = {name: both for name, both in limits_of(JUDGED).items() if name != "body_difference_m"}
+    return _measured(clip.family, people, JUDGED, limits)
+
+
+def _measured(
+    family: str, found: Sequence[object], figures: Mapping[str, Figure], limits: Mapping[str, tuple[float, float]]
+) -> Measured:
+    firsts = [first for first, *_ in KINDS.values() if hasattr(found[0], first)]
+    values = {name: [value for one in found if (value := getattr(one, name)) is not None] for name in firsts}
+    worst = {name: max((one for one in own if np.isfinite(one)), default=np.nan) for name, own in values.items()}
+    past = {figure.name for one in found for figure, _, _ in complaints(one, figures, limits)}
+    return Measured(family, worst, frozenset(past))
+
+
+def measure_drift(clip: Clip, generator: np.random.Generator) -> tuple[Measured, Measured] | None:
+    """Measure a variant of a clip and the same with a drifting contact; None where nobody touches."""
+    original = CheckedMotion(clip.name, clip.people_m, clip.rate_hz)
+    source = original.source
+    if not original.contacts.is_held.any():
+        return None
+    scale = np.ones((2, BODY22.num_joints))
+    scale[generator.integers(2)] = generator.uniform(0.85, 1.15)
+    variant = Augmenter(source).solve([Variation("variant", scale)])[0].positions_m
+    found = []
+    for people in (variant, drift(variant, source, generator)):
+        quality, _ = CheckedMotion("variant", people, source.rate_hz).held_against(original)
+        found.append(_measured(clip.family, [quality], against.FIGURES, limits_of(against.FIGURES)))
+    return found[0], found[1]
+
+
+def row(kind: str, untouched: Sequence[Measured], planted: Sequence[Measured]) -> tuple[str, ...]:
+    """Return a line of the table of a kind, judged on every second family."""
+    first, families = KINDS[kind][0], sorted({one.family for one in untouched})
+    chosen_on = set(families[::2])
+    ends = [
+        np.nanpercentile([one.values[first] for one in some if one.family in chosen_on], percent)
+        for some, percent in ((untouched, 97.5), (planted, 2.5))
+    ]
+    limit = float(np.mean(ends))
+    judged = [[one for one in some if one.family not in chosen_on] for some in (planted, untouched)]
+    by_choice = [np.mean([one.values[first] > limit for one in some]) for some in judged]
+    declared = [np.mean([bool(one.past & set(KINDS[kind])) for one in some]) for some in judged]
+    every = [np.mean([bool(one.past & set(KINDS[kind])) for one in some]) for some in (planted, untouched)]
+    stated = {**limits_of(against.FIGURES), **limits_of(JUDGED)}[first][0]
+    shares = (f"{100 * share:.1f} %" for share in (*by_choice, *declared, *every))
+    return (kind, str(len(planted)), f"{first} {limit:.3g}", *shares, f"{stated:g}")
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--clips", type=int, default=200)
+    parser.add_argument("--drift", type=int, default=100)
+    given = parser.parse_args()
+    generator, half = np.random.default_rng(SEED), given.clips // 2
+    clips = [*list(duet_clips(half, generator))[:half], *salsa_clips(given.data, half, generator)]
+    untouched = [measure(clip) for clip in clips]
+    rows = []
+    for kind, plant in FAULTS.items():
+        planted = [replace(clip, people_m=plant(clip.people_m, clip.rate_hz, generator)) for clip in clips]
+        rows.append(row(kind, untouched, [measure(clip) for clip in planted]))
+    step = max(1, len(clips) // max(given.drift, 1))
+    drifting = [pair for clip in clips[::step] if (pair := measure_drift(clip, generator)) is not None]
+    if given.drift:
+        rows.append(row("contact drift", *zip(*drifting, strict=True)))
+    heads = ("kind", "clips", "limit chosen", "found", "accused", "found, declared", "accused", "found, all", "accused")
+    say(format_table((*heads, "declared"), rows, text_columns=(0, 2)))
+    for what, some in (("captures", untouched), ("variants", [one for one, _ in drifting])):
+        names = [name for one in some for name in one.past]
+        each = ", ".join(f"{name} {names.count(name)}" for name in sorted(set(names)))
+        say([f"{sum(bool(one.past) for one in some)} of {len(some)} untouched {what} are past a limit: {each}"])
+
+
+if __name__ == "__main__":
+    main()

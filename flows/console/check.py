@@ -1,0 +1,237 @@
+"""`check`: anybody's motions of two people, judged as takes and variants are, without a study or a store."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer import Argument, Option
+
+from flows.console.context import JsonOption, answer, app
+from flows.console.display import Steps, format_table, make_listener
+from flows.console.inputs import RateOption, UnitOption, in_options
+from flows.exports.export_format import write_text
+from pasdedeux.augmentation import quality
+from pasdedeux.evaluation.motion_check import TOUCH
+from pasdedeux.evaluation.pictures import Picture
+from pasdedeux.evaluation.report import render
+from pasdedeux.evaluation.score_tables import TextTable, format_value
+from pasdedeux.figure import Figure
+from pasdedeux.plain_text import counted
+from pasdedeux.plausibility import capture
+from pasdedeux.threads import use_one_thread
+from pasdedeux.verdict import Level
+from tasks.checking import (
+    UNREADABLE,
+    Checked,
+    MotionFiles,
+    check_motion,
+    clips_of,
+    count_people,
+    files_below,
+    pair_up,
+    picture_of,
+    source_of,
+)
+
+_NUM_SHOWN = 10
+"""So many, the worst, are shown in players."""
+_NUM_NAMED, _MAX_ROWS = 20, 60
+"""So many are named first on the page, and are rows in a terminal."""
+_FEW, _FEW_FILES = 8, 100
+"""Up to so many motions are checked, and files looked at, in this process, which starts at once."""
+
+
+@app.command()
+def check(
+    paths: Annotated[list[Path], Argument(metavar="PATH...", help="Folders or motion files, a person or more each.")],
+    source: Annotated[Path | None, Option(metavar="PATH", help="What they were made from, a folder or files.")] = None,
+    page: Annotated[Path, Option(metavar="FILE", help="The page that is written.")] = Path("check.html"),
+    unit: UnitOption = None,
+    rate: RateOption = None,
+    workers: Annotated[int | None, Option(min=1, help="Processes; one per core when not given.")] = None,
+    fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check motions of two people, whoever made them, and show the worst.
+
+    BVH, AMC with its ASF, C3D, TRC, npz, ExPI and SMPL are read as a study reads them: units, axes, rates and layouts
+    are told by the content.  Partners are told by the names: `waltz_A.bvh` with `waltz_B.bvh`, `60_03.bvh` with
+    `61_03.bvh`, `A/x.bvh` with `B/x.bvh`; a file of two people is a pair by itself, and two files alone are one.
+
+    \b
+      pasdedeux check captures                                 a folder; writes check.html
+      pasdedeux check a.bvh b.bvh --unit 0.0254                two people, in inches
+      pasdedeux check variants --source takes --fail-on fail   what was made from takes, in a script
+
+    Checked are unit and axes, floor (height of each person's, tilt), sliding feet, jumps, out of the first frame too,
+    jerk, size, one motion or one body twice, and how deep people are in each other.  Limits are those of studies
+    (`pasdedeux study keys ingest`).  With --source each motion is judged as a variant of the source whose name its own
+    begins with: do contacts hold, do standing feet stay, is it as smooth (`pasdedeux study keys augmentation`).
+
+    \b
+    pass   nothing was found
+    warn   look at it: its reason says what and where
+    fail   do not use it
+
+    What cannot be read is one row that says why; the exit code is 2 then.  --json prints every figure of every person.
+    """
+    with _pool(workers) as run:
+        pairs, checked = _find(paths, unit or (), rate, run)
+        if source is not None:
+            sources, unread = _find([source], unit or (), rate, run)
+            originals = [motion for motion, _ in sources]
+            found = [(motion, source_of(motion.name, originals)) for motion, _ in pairs]
+            pairs = [pair for pair in found if pair[1] is not None]
+            checked += unread + [_without_source(motion, originals) for motion, its in found if its is None]
+        checked += [replace(one, reason=in_options(one.reason)) for one in run(check_motion, pairs)]
+        checked.sort(key=lambda one: (-one.verdict.level.rank, one.name))
+        files = {motion.name: (motion, its) for motion, its in pairs}
+        worst = [one for one in checked if one.name in files and one.figures][:_NUM_SHOWN]
+        pictures = run(picture_of, [(*files[one.name], one) for one in worst])
+    write_text(page, _page(checked, pictures))
+    answer([_as_json(one) for one in checked], [*_lines(checked), f"page: {page}"], as_json=as_json)
+    levels = {one.level for one in checked}
+    if UNREADABLE in levels:
+        raise typer.Exit(2)
+    if fail_on is not None and levels & {Level.FAIL, fail_on}:
+        raise typer.Exit(1)
+
+
+Run = Callable[..., list[Any]]
+"""Calls a function with each row of arguments, and returns what it returns in their order."""
+
+
+@contextmanager
+def _pool(workers: int | None) -> Iterator[Run]:
+    """Give what runs work in processes, or here where it is little; a long one says how far it is."""
+    use_one_thread()
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["tasks.checking"])
+    with ProcessPoolExecutor(workers or len(os.sched_getaffinity(0)), context) as pool:
+
+        def run(work: Callable[..., Any], rows: Sequence[tuple[Any, ...]], few: int = _FEW) -> list[Any]:
+            if len(rows) <= few:
+                return [work(*row) for row in rows]
+            listener, done = make_listener(), list[Any]()
+            listener.note(f"{len(rows)} to look at")
+            step = Steps(listener, len(rows))
+            try:
+                for one in pool.map(work, *zip(*rows, strict=True), chunksize=4):
+                    done.append(one)
+                    step()
+            finally:
+                listener.close()
+                pool.shutdown(wait=False, cancel_futures=True) if len(done) < len(rows) else None
+            return done
+
+        yield run
+
+
+def _find(
+    paths: Sequence[Path], units_m: Sequence[float], rate_hz: float | None, run: Run
+) -> tuple[list[tuple[MotionFiles, MotionFiles | None]], list[Checked]]:
+    """Return the motions of files and folders, clips of datasets with their sources, and what cannot be read."""
+    clips = {path: clips_of(path) for path in paths}
+    found = [clip for of_folder in clips.values() for clip in of_folder]
+    if all(clips.values()):
+        return found, []
+    files = files_below([path for path, of_folder in clips.items() if not of_folder])
+    counts = dict(zip(files, run(count_people, [(path,) for path in files], _FEW_FILES), strict=True))
+    whole = {path: count for path, count in counts.items() if isinstance(count, int)}
+    unread = [Checked(path.stem, (str(path),), UNREADABLE, why) for path, why in counts.items() if isinstance(why, str)]
+    return found + [(motion, None) for motion in pair_up(whole, units_m=units_m, rate_hz=rate_hz)], unread
+
+
+def _without_source(motion: MotionFiles, sources: Sequence[MotionFiles]) -> Checked:
+    names = ", ".join(one.name for one in sources[:5]) + ", ..." * (len(sources) > 5)
+    why = f"no source has a name that this begins with; sources: {names}"
+    return Checked(motion.name, motion.files, UNREADABLE, why)
+
+
+def _as_json(one: Checked) -> dict[str, Any]:
+    return {"name": one.name, "files": list(one.files), "verdict": one.level, "reason": one.reason} | one.figures
+
+
+def _lines(checked: Sequence[Checked]) -> list[str]:
+    """Return the table for a terminal, the worst first, and how many there are of each level."""
+    rows = [(one.level, one.name, *_cells(one, _TOUCH).values(), one.reason) for one in checked[:_MAX_ROWS]]
+    lines = format_table(("verdict", "name", *_TOUCH, "why"), rows, text_columns=(0, 1, len(_TOUCH) + 2))
+    if len(checked) > _MAX_ROWS:
+        lines.append(f"and {len(checked) - _MAX_ROWS} more, all of them on the page")
+    return [*lines, _counted(checked)]
+
+
+def _counted(checked: Sequence[Checked]) -> str:
+    levels = [one.level for one in checked]
+    each = (f"{levels.count(level)} {level}" for level in (UNREADABLE, "fail", "warn", "pass") if level in levels)
+    return f"{counted(len(checked), 'motion')}: {', '.join(each)}"
+
+
+def _cells(one: Checked, columns: Mapping[str, Figure]) -> dict[str, str]:
+    """Return figures as text: of several people the greatest, or the one that is worst where less is."""
+    cells = {}
+    for heading, figure in columns.items():
+        given = [one.figures, one.figures.get("against_source", {}), *one.figures.get("people", ())]
+        values = [row[figure.name] for row in given if row.get(figure.name) is not None]
+        if not values:
+            cells[heading] = ""
+        elif figure.kind == "str" or isinstance(values[0], str):
+            cells[heading] = ", ".join(dict.fromkeys(map(str, values)))
+        elif figure.name.endswith("_share"):
+            cells[heading] = f"{100 * max(values):.0f} %"
+        else:
+            worst = min if figure.better == "larger" else max
+            cells[heading] = format_value(float(worst(values)), figure.unit)
+    return cells
+
+
+def _page(checked: Sequence[Checked], pictures: Sequence[Picture]) -> str:
+    tables = [
+        _table("Verdicts and contacts", checked, _TOUCH, {"why": lambda one: one.reason}),
+        _table("How files were read", checked, _READ, {"files": lambda one: ", ".join(dict.fromkeys(one.files))}),
+        _table("Capture, the worse of both people", checked, _CAPTURE),
+        _table("Against the source", [one for one in checked if "source" in one.figures], _AGAINST),
+    ]
+    bad = {one.name: one.verdict for one in checked if one.verdict.level is not Level.PASS}
+    return render(
+        "check.html", title="Check of motions", said=_counted(checked), bad=bad, pictures=pictures, tables=tables
+    )
+
+
+def _table(
+    caption: str,
+    checked: Iterable[Checked],
+    columns: Mapping[str, Figure],
+    more: Mapping[str, Callable[[Checked], str]] | None = None,
+) -> TextTable:
+    more = more or {}
+    rows = (
+        (one.name, one.level, *_cells(one, columns).values(), *(tell(one) for tell in more.values())) for one in checked
+    )
+    return TextTable(caption, ("name", "verdict", *columns, *more), tuple(rows))
+
+
+def _columns(figures: Mapping[str, Figure], *, all_of_them: bool = False) -> dict[str, Figure]:
+    """Return figures by what their column is called; of those that are judged, but for the first place of a jump."""
+    return {one.words: one for name, one in figures.items() if all_of_them or one.limits is not None}
+
+
+_TOUCH = {"seconds": Figure("duration_s", "s", "")} | _columns(TOUCH, all_of_them=True)
+_READ = {
+    "format": Figure("format", "", "", kind="str"),
+    "layout": Figure("layout", "", "", kind="str"),
+    "rate": Figure("rate_hz", "Hz", ""),
+    "metres of a unit": Figure("metres_per_unit", "", ""),
+    "up": Figure("up_axis", "", "", kind="str"),
+    "stature": capture.FIGURES["stature_m"],
+}
+_CAPTURE = _columns(capture.FIGURES)
+_AGAINST = _columns(quality.FIGURES)

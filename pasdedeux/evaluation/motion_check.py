@@ -1,0 +1,144 @@
+"""Is a motion of people good, whoever made it: its capture, its contacts, and what it keeps of its source's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.augmentation import Augmenter, Source
+from pasdedeux.augmentation.quality import Quality
+from pasdedeux.augmentation.variations import Variation
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.motion_players import links_of
+from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
+from pasdedeux.figure import figure, figures_of
+from pasdedeux.formats.placement import floor_shift
+from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.interaction.surfaces import surface_gaps
+from pasdedeux.plausibility.capture import FIGURES, PersonCapture
+from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level, Verdict
+
+_MAX_RATE_HZ = 30.0
+"""Contacts are looked for at no more than this, as studies do."""
+_SHOWN_S = 5.0
+
+
+@dataclass(frozen=True)
+class TouchFigures:
+    """How people touch each other; nothing of it is judged, for who dances apart is no fault."""
+
+    num_contacts: int = figure(
+        "Contacts: times in which two bones of different people touch without a break", words="contacts"
+    )
+    contact_share: float = figure("Share of the frames in which people touch", words="touching")
+    mean_contact_s: float = figure("Mean length of a contact; NaN without one")
+    longest_contact_s: float = figure("Length of the longest contact; 0 without one")
+    inside_share: float = figure(
+        "Share of the frames in which people are deeper in each other than a capture may", words="too deep"
+    )
+
+
+TOUCH = figures_of(TouchFigures)
+
+
+class CheckedMotion:
+    """A motion of people that is to be checked.
+
+    Args:
+        name: What it is called.
+        people_m: body22 (frame, person, 22, 3), metres, y up, wherever its floor is.
+        rate_hz: Frames per second.
+    """
+
+    def __init__(self, name: str, people_m: Array, rate_hz: float) -> None:
+        step = max(1, round(rate_hz / _MAX_RATE_HZ))
+        some = people_m[::step]
+        placed = some + np.array([0.0, floor_shift(some), 0.0])
+        self.name, self.source = name, Source(placed, rate_hz / step, name)
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Contacts of people with each other; of who is alone with the own body."""
+        return self.source.contacts()
+
+    @cached_property
+    def _augmenter(self) -> Augmenter:
+        return Augmenter(self.source)
+
+    def touch(self) -> TouchFigures:
+        """Return how people touch each other."""
+        spans = list(_spans(self.contacts)) if self.source.num_people > 1 else []
+        seconds = [(stop - start) / self.source.rate_hz for start, stop in spans]
+        is_touching = np.zeros(self.source.num_frames, dtype=bool)
+        for start, stop in spans:
+            is_touching[start:stop] = True
+        return TouchFigures(
+            num_contacts=len(spans),
+            contact_share=float(is_touching.mean()),
+            mean_contact_s=float(np.mean(seconds)) if seconds else float("nan"),
+            longest_contact_s=max(seconds, default=0.0),
+            inside_share=float((self._depth_m() > FIGURES["penetration_m"].limits[0]).mean()),  # type: ignore[index]
+        )
+
+    def _depth_m(self) -> Array:
+        """Return how deep the deepest two people are in each other (frame,), metres; negative apart."""
+        people, radii = self.source.positions_m, self.source.radii_m
+        couples = [[a, b] for a in range(people.shape[1]) for b in range(a)]
+        gaps = [surface_gaps(people[:, both], radii[both], BODY22).closest_m for both in couples]
+        return -np.min(gaps, axis=0) if gaps else np.full(len(people), -np.inf)
+
+    def held_against(self, original: CheckedMotion) -> tuple[Quality, Verdict]:
+        """Return how this keeps the contacts, the floor and the smoothness of its source, and the verdict on a variant.
+
+        Raises:
+            InputError: The two have different numbers of frames or people, or other rates.
+        """
+        own, its = (
+            f"{one.num_frames} frames of {one.num_people} people at {one.rate_hz:g} Hz"
+            for one in (self.source, original.source)
+        )
+        if own != its:
+            raise InputError(f"it has {own}, its source {original.name} {its}: a variant has the frames of its source")
+        lengths, its_lengths = self.source.lengths_m, original.source.lengths_m
+        scale = np.where(its_lengths > 0, lengths / np.maximum(its_lengths, 1e-9), 1.0)
+        variant = original._augmenter.assess(Variation(self.name, scale), self.source.positions_m)
+        return variant.quality, variant.verdict
+
+    def picture(self, said: str, people: Sequence[PersonCapture], original: CheckedMotion | None = None) -> Picture:
+        """Return what a player shows: some seconds about its worst jump, beside the same of its source."""
+        motions = [one for one in (original, self) if one is not None]
+        rate_hz, count = self.source.rate_hz, min(len(one.source.positions_m) for one in motions)
+        length, worst = min(count, round(_SHOWN_S * rate_hz)), max(people, key=lambda person: person.jump_m)
+        jump_s = worst.jump_s if max(person.start_jump_m for person in people) < worst.jump_m else 0.0
+        start = int(np.clip(jump_s * rate_hz - length / 2, 0, count - length))
+        frames, shown_hz = shown_frames(length, rate_hz)
+        panels = []
+        for one in motions:
+            contacts = original.contacts if original is not None else self.contacts
+            links = links_of(contacts, one.source.positions_m)[frames + start]
+            panels.append(people_panel(one.name, BODY22, one.source.positions_m[frames + start], links))
+        labels = [f"{(start + frame) / rate_hz:.2f} s" for frame in frames]
+        return Picture(f"{self.name}{PLAYER}", said, pack_player(panels, rate_hz=shown_hz, labels=labels))
+
+
+def joined(verdicts: Sequence[Verdict]) -> Verdict:
+    """Return the worst level of several verdicts with all their reasons, the worst first."""
+    ranked = sorted(verdicts, key=lambda verdict: -verdict.level.rank)
+    reasons = dict.fromkeys(verdict.reason for verdict in ranked if verdict.reason)
+    return Verdict(ranked[0].level if ranked else Level.PASS, "; ".join(reasons))
+
+
+def _spans(contacts: Contacts) -> Iterator[tuple[int, int]]:
+    """Yield first frame, and one past the last, of each time in which two bones touch without a break."""
+    held, bones = contacts.is_held & (contacts.objects < 0), contacts.bones()
+    frames, places = np.nonzero(held)
+    pairs = bones[frames, places]
+    for pair in np.unique(pairs, axis=0):
+        when = np.unique(frames[(pairs == pair).all(axis=1)])
+        for run in np.split(when, np.flatnonzero(np.diff(when) > 1) + 1):
+            yield int(run[0]), int(run[-1]) + 1

@@ -15,7 +15,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +51,7 @@ class Clip:
     """Two people (frame, 2, 22, 3), metres, y up, on their floor."""
 
     family: str
-    name: str
+    number: int
     people_m: Array
     rate_hz: float
 
@@ -130,27 +133,31 @@ FAULTS: Mapping[str, Plant] = {
 }
 
 
-def duet_clips(count: int, generator: np.random.Generator) -> Iterator[Clip]:
-    """Yield clips of every built-in duet of two people."""
+def duet_clips(count: int) -> Iterator[Clip]:
+    """Yield windows of every built-in duet of two people, each in another style and on other bodies."""
     names = [name for name, dance in DUETS.items() if dance.num_people == 2]
-    for name in names:
-        for number, style in enumerate(draw_styles(2, -(-count // len(names)), generator)):
-            duet = make_duet(name, duration_s=2.0 * CLIP_S, **style)
-            people = np.stack([derive_working_poses(one, LAYOUTS["body22"]).body22_m for one in duet.motions], axis=1)
-            start = int(generator.uniform(0.0, CLIP_S) * duet.motions[0].rate_hz)
-            stop = start + round(CLIP_S * duet.motions[0].rate_hz)
-            yield Clip(name, f"{name}-{number}", people[start:stop], duet.motions[0].rate_hz)
+    generator = np.random.default_rng(SEED)
+    styles = {name: draw_styles(2, -(-count // len(names)), generator) for name in names}
+    for number in range(count):
+        name = names[number % len(names)]
+        motions = make_duet(name, duration_s=2.0 * CLIP_S, **styles[name][number // len(names)]).motions
+        people_m = np.stack([derive_working_poses(one, LAYOUTS["body22"]).body22_m for one in motions], axis=1)
+        yield _window(name, number, people_m, motions[0].rate_hz)
 
 
-def salsa_clips(data: Path, count: int, generator: np.random.Generator) -> Iterator[Clip]:
+def salsa_clips(data: Path, count: int) -> Iterator[Clip]:
     """Yield windows of every take of salsa."""
     files = sorted((data / "cmu_salsa_bvh").glob("*.bvh"))
-    takes = [read_motion(one) for one in pair_up(dict.fromkeys(files, 1))]
-    for number in range(count):
-        take, name = takes[number % len(takes)], f"salsa {number % len(takes)}"
-        length = round(CLIP_S * take.rate_hz)
-        start = int(generator.integers(len(take.people_m) - length))
-        yield Clip(name, f"{name} at {start}", take.people_m[start : start + length], take.rate_hz)
+    for at, motion in enumerate(motions := pair_up(dict.fromkeys(files, 1))):
+        take = read_motion(motion)
+        for number in range(at, count, len(motions)):
+            yield _window(f"salsa {motion.name}", number, take.people_m, take.rate_hz)
+
+
+def _window(family: str, number: int, people_m: Array, rate_hz: float) -> Clip:
+    length = round(CLIP_S * rate_hz)
+    start = int(np.random.default_rng([SEED, number]).integers(len(people_m) - length))
+    return Clip(family, number, people_m[start : start + length], rate_hz)
 
 
 def drift(people_m: Array, source: Source, generator: np.random.Generator) -> Array:
@@ -217,9 +224,19 @@ def _measured(
     return Measured(family, worst, frozenset(past))
 
 
+def measure_all(clip: Clip, *, with_drift: bool) -> dict[str, tuple[Measured, Measured]]:
+    """Measure a clip untouched and with each kind of fault, drawn by the number of the clip and the kind."""
+    untouched, found = measure(clip), {}
+    for at, (kind, plant) in enumerate(FAULTS.items()):
+        planted = plant(clip.people_m, clip.rate_hz, np.random.default_rng([SEED, clip.number, at]))
+        found[kind] = untouched, measure(replace(clip, people_m=planted))
+    both = measure_drift(clip, np.random.default_rng([SEED, clip.number])) if with_drift else None
+    return found | ({"contact drift": both} if both is not None else {})
+
+
 def measure_drift(clip: Clip, generator: np.random.Generator) -> tuple[Measured, Measured] | None:
     """Measure a variant of a clip and the same with a drifting contact; None where nobody touches."""
-    original = CheckedMotion(clip.name, clip.people_m, clip.rate_hz)
+    original = CheckedMotion(clip.family, clip.people_m, clip.rate_hz)
     source = original.source
     if not original.contacts.is_held.any():
         return None
@@ -257,21 +274,22 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--clips", type=int, default=200)
     parser.add_argument("--drift", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    generator, half = np.random.default_rng(SEED), given.clips // 2
-    clips = [*list(duet_clips(half, generator))[:half], *salsa_clips(given.data, half, generator)]
-    untouched = [measure(clip) for clip in clips]
-    rows = []
-    for kind, plant in FAULTS.items():
-        planted = [replace(clip, people_m=plant(clip.people_m, clip.rate_hz, generator)) for clip in clips]
-        rows.append(row(kind, untouched, [measure(clip) for clip in planted]))
-    step = max(1, len(clips) // max(given.drift, 1))
-    drifting = [pair for clip in clips[::step] if (pair := measure_drift(clip, generator)) is not None]
-    if given.drift:
-        rows.append(row("contact drift", *zip(*drifting, strict=True)))
+    half = given.clips // 2
+    step = max(1, given.clips // max(given.drift, 1))
+    found: dict[str, list[tuple[Measured, Measured]]] = {kind: [] for kind in KINDS}
+    with ProcessPoolExecutor(given.workers, get_context("forkserver")) as pool:
+        clips = chain(duet_clips(half), salsa_clips(given.data, half))
+        jobs = [pool.submit(measure_all, one, with_drift=given.drift > 0 == at % step) for at, one in enumerate(clips)]
+        for job in jobs:
+            for kind, both in job.result().items():
+                found[kind].append(both)
+    rows = [row(kind, *zip(*both, strict=True)) for kind, both in found.items() if both]
+    untouched, drifting = ([one for one, _ in found[kind]] for kind in ("floor offset", "contact drift"))
     heads = ("kind", "clips", "limit chosen", "found", "accused", "found, declared", "accused", "found, all", "accused")
     say(format_table((*heads, "declared"), rows, text_columns=(0, 2)))
-    for what, some in (("captures", untouched), ("variants", [one for one, _ in drifting])):
+    for what, some in (("captures", untouched), ("variants", drifting)):
         names = [name for one in some for name in one.past]
         each = ", ".join(f"{name} {names.count(name)}" for name in sorted(set(names)))
         say([f"{sum(bool(one.past) for one in some)} of {len(some)} untouched {what} are past a limit: {each}"])

@@ -260,7 +260,8 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
         for ref, own in groupby(file.groups, key=lambda group: group.ref):
             groups = list(own)
             if file.table == "contacts":
-                writer.write_group(_contacts_of(store, ref))
+                if (rows := _contacts_of(store, ref)).num_rows:  # some readers stop at a row group without rows
+                    writer.write_group(rows)
                 continue
             batches = (batch.rows for batch in store.iter_batches(ref, file.table))
             for rows in cut(batches, groups):
@@ -342,12 +343,12 @@ def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str,
     """Yield of each take the frames in which something is held, and the bone of body22 that is (n,), by both sides."""
     names = {name: at for at, name in enumerate(BODY22.joint_names)}
     for file in files:
-        for group, rows in zip(file.groups, _row_groups(part, file), strict=True) if file.table == "contacts" else ():
+        for rows in _row_groups(part, file) if file.table == "contacts" else ():
             held = np.asarray(rows["is_held"])
             frame = np.tile(np.asarray(rows["frame"])[held], 2)
             bones = np.concatenate([rows["bone"][held], rows["partner_bone"][held]])
             bone = np.array([names.get(one, -1) for one in bones], dtype=np.int64)
-            yield group.clip, frame, bone
+            yield str(rows["take_id"][0]), frame, bone
 
 
 def _row_groups(part: Path, file: DataFile, columns: Sequence[str] | None = None) -> Iterator[Any]:

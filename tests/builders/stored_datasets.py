@@ -64,7 +64,7 @@ def put_clips(
     is_held_out: bool = False,
 ) -> list[Manifest]:
     """Commit a take of two people and a batch of its variants."""
-    people = swaying_pair(num_frames, apart_m=0.3, seed=seed).astype(np.float32)
+    people = swaying_pair(num_frames, apart_m=2.0 if take_id == "alone" else 0.3, seed=seed).astype(np.float32)
     by_person = people.swapaxes(0, 1).reshape(-1, *people.shape[2:])
     columns, facts = take_rows(take_id, 2, num_frames, is_held_out=is_held_out, body22_m=by_person)
     own = random_columns("takes", 2) | {"take_id": [take_id] * 2, "person": [0, 1], "body22_rest_m": people[0]}

@@ -32,7 +32,7 @@ from tasks.curation import content_of
 from tasks.data import Data
 from tests.builders.stored_datasets import VARIANTS, put_dataset
 
-TAKES = {"hug": False, "judo": False, "waltz": True}
+TAKES = {"alone": False, "hug": False, "judo": False, "waltz": True}
 SECRET = SourceCredit("secret", "Internal use only; no redistribution", "nobody")
 
 
@@ -145,7 +145,7 @@ def test_a_clip_is_one_row_group_with_the_take_s_split_and_the_rows_of_the_store
         scale = np.reshape(clip.bone_scale, (2, 22))
         lengths = bone_lengths(BODY22, np.reshape(take["rest_m"], (2, 22, 3))) * scale
         np.testing.assert_allclose(bone_lengths(BODY22, rest), lengths, atol=1e-6)
-        assert 0.0 < clip.contact_rate <= 1.0
+        assert clip.contact_rate == 0.0 if clip.take_id == "alone" else 0.0 < clip.contact_rate <= 1.0
 
 
 def test_figures_are_those_of_the_rows(folder: Path) -> None:
@@ -166,7 +166,7 @@ def test_figures_are_those_of_the_rows(folder: Path) -> None:
         for key, one in zip(("mean", "std", "min", "max", "q01", "q50", "q99"), mine, strict=True):
             np.testing.assert_allclose(found[key], one, atol=2e-6, err_msg=f"{name} {key}")
     rates = stats["train"]["poses"]["contact_rate"]
-    assert rates["count"] == 12
+    assert rates["count"] == 24
     assert 0 < max(rates["mean"]) <= 1
 
 
@@ -174,7 +174,7 @@ def test_a_folder_comes_into_another_store_as_what_it_was(folder: Path, store: S
     other = Store(tmp_path / "other")
     dataset, num_new = read_folder(folder, other)
     assert dataset.digest == open_dataset(store, "made@1").digest
-    assert num_new == 7
+    assert num_new == 9
     assert verify(other).is_ok
     names = [[clip.name for clip in Data(one).variants("made@1")] for one in (store, other)]
     assert names[0] == names[1]
@@ -225,7 +225,7 @@ def test_rejected_rows_are_nowhere_and_what_is_left_comes_back(store: Store, tmp
     other = Store(tmp_path / "other")
     dataset, _ = read_folder(tmp_path / "whole", other)
     assert verify(other).is_ok
-    assert len(Data(other).variants(dataset.label)) == 8
+    assert len(Data(other).variants(dataset.label)) == 11
     (judo,) = [clip for clip in Data(other).variants(dataset.label) if clip.name == f"judo, {VARIANTS[2]}"]
     (same,) = [clip for clip in Data(store).variants("made@1") if clip.name == f"judo, {VARIANTS[2]}"]
     np.testing.assert_array_equal(judo.positions_m, same.positions_m)
@@ -292,7 +292,7 @@ def test_an_update_writes_only_what_is_new_and_keeps_sides(store: Store, tmp_pat
 def test_the_page_plays_clips_without_a_network(folder: Path) -> None:
     page = (folder / "index.html").read_text()
     assert "http://" not in page.replace("http://www.w3.org", "")
-    assert page.count("<canvas") == 9
+    assert page.count("<canvas") == 12
     assert "made@1" in page
 
 
@@ -301,7 +301,7 @@ def test_commands_write_read_and_refuse(store: Store, tmp_path: Path, capsys: py
     assert run_command_line(["dataset", "write", "made@1", "--out", out, "--store", place]) == 0
     assert "made@1 is in" in capsys.readouterr().out
     assert run_command_line(["dataset", "read", out, "--store", str(tmp_path / "other"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["num_new"] == 7
+    assert json.loads(capsys.readouterr().out)["num_new"] == 9
     assert run_command_line(["dataset", "read", str(tmp_path), "--store", place]) == 2
     assert "is no folder of a dataset" in capsys.readouterr().err
     (tmp_path / "full").mkdir()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from benchmarks import augmentation, chains, commands, generation, lifting, projections, scale
+from benchmarks import augmentation, chains, commands, generation, lifting, loader, projections, scale
 from benchmarks.benchmark import BenchmarkResult
 from flows.console.display import format_table
 from flows.planning import PlanError
@@ -14,6 +14,7 @@ BENCHMARKS: dict[str, Mapping[str, Callable[[], BenchmarkResult]]] = {
     "chains": chains.BENCHMARKS,
     "generation": generation.BENCHMARKS,
     "lifting": lifting.BENCHMARKS,
+    "loader": loader.BENCHMARKS,
     "projections": projections.BENCHMARKS,
     "scale": scale.BENCHMARKS,
     "full-scale": commands.FULL_BENCHMARKS,

@@ -22,7 +22,10 @@ _ROOT = Path(__file__).parents[2]
 def bench(
     stage: Annotated[
         str | None,
-        Argument(metavar="[STAGE]", help="One stage, scale, full-scale or commands; default: all stages, scale."),
+        Argument(
+            metavar="[STAGE]",
+            help="One stage, loader, scale, full-scale or commands; default: all stages, loader, scale.",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -31,6 +34,7 @@ def bench(
     \b
       pasdedeux bench              kernels of all stages
       pasdedeux bench chains       kernels of one stage
+      pasdedeux bench loader       windows to train on, beside pyarrow and `datasets`
       pasdedeux bench scale        how cost grows with size
       pasdedeux bench full-scale   the same to 10,000,000 projections, 1,000,000 annotations, 100 takes; minutes
       pasdedeux bench commands     `status`, and the demo, which is built three times; minutes

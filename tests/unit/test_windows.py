@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import loader
 from flows.console.app import run_command_line
 from pasdedeux.errors import InputError
 from pasdedeux.learning.normalising import Normaliser
@@ -306,6 +307,16 @@ def test_the_example_trains(store: Store, own_cache: Path) -> None:
         env=environment,
     )
     assert re.fullmatch(r"step 12: \d+\.\d\d cm; the source as it is \d+\.\d\d cm\n", done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", loader.BENCHMARKS)
+def test_the_benchmark_measures_the_stream_beside_other_readers(label: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_TAKES", 3), ("_VARIANTS", 2), ("_ROWS_OF_DATASETS", 60)):
+        monkeypatch.setattr(loader, name, value)
+    result = loader.BENCHMARKS[label]()
+    assert result.fast_per_s > 0.0
+    assert result.plain_per_s > 0.0
 
 
 def test_a_normaliser_of_chunks_is_that_of_the_whole_and_refuses_what_is_not_finite() -> None:

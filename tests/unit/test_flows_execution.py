@@ -210,6 +210,20 @@ def test_ctrl_c_ends_the_run_also_where_what_it_raises_is_lost(tmp_path: Path) -
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_ctrl_c_breaks_off_what_the_run_waits_for(tmp_path: Path) -> None:
+    class Waiting(HerePool):
+        has_waited = False
+
+        def work(self) -> bool:
+            signal.raise_signal(signal.SIGINT)
+            Waiting.has_waited = True
+            return super().work()
+
+    with pytest.raises(KeyboardInterrupt):
+        run_toys(write_study(tmp_path), tmp_path / "store", pool=Waiting(str(tmp_path / "store")))
+    assert not Waiting.has_waited
+
+
 def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

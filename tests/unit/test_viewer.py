@@ -743,15 +743,19 @@ class Browser:
         self.downloads[name] = content
 
 
-def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(viewer: Viewer) -> None:
+@pytest.mark.parametrize(("rate_hz", "step", "frame_ms"), [(30.0, 3, 100), (12.0, 1, 83), (None, 1, 100)])
+def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(
+    viewer: Viewer, monkeypatch: pytest.MonkeyPatch, rate_hz: float | None, step: int, frame_ms: int
+) -> None:
+    monkeypatch.setattr(viewer, "scene", replace(viewer.scene, rate_hz=rate_hz))
     viewer.seek(5)
     browser = Browser()
     save_clip(viewer, browser)
     (content,) = browser.downloads.values()
     found, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
-    step = max(1, round((viewer.scene.rate_hz or 0.0) / 10.0))
     assert found
     assert len(clip.frames) == len(range(5, viewer.scene.num_frames, step))
+    assert set(clip.durations.tolist()) == {frame_ms}
 
 
 def test_one_button_saves_a_picture_and_the_other_a_clip(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -176,7 +176,8 @@ class Summary:
     def headlines(self) -> list[str]:
         """What a run ends with: what was built, what to use, each product, and each verdict that fails."""
         failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL or not self.products}
-        lines = [f"built: {self.built}", f"is it good: {self.judgement}", *filter(None, [self.advice])]
+        lines = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
+        lines += filter(None, [self.advice])
         lines += self._product_lines()
         lines += [f"{name}: {verdict_words(one)}" for name, one in failed.items()]
         if rest := len(self.verdicts) - len(failed):

@@ -89,8 +89,8 @@ def test_a_run_ends_with_what_to_use_and_with_what_fails() -> None:
         "views": Verdict(Level.WARN, "few views"),
     }
     lines = Summary([], [], verdicts).headlines()
-    assert lines[1:3] == ["is it good: 1 fail, 1 pass, 1 warn", "Use the variants; do not use the draws."]
-    assert lines[3].startswith("draws: fail: ")
-    assert lines[5] == "evaluation: coverage: fail: far from real pairs"
-    assert lines[6].startswith("2 more verdicts")
+    assert lines[2:4] == ["is it good: 1 fail, 1 pass, 1 warn", "Use the variants; do not use the draws."]
+    assert lines[4].startswith("draws: fail: ")
+    assert lines[6] == "evaluation: coverage: fail: far from real pairs"
+    assert lines[7].startswith("2 more verdicts")
     assert "few views" not in "".join(lines)

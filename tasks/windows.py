@@ -11,7 +11,6 @@ What is read is unpacked first, once, into a folder of the cache (`storage_schem
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -32,10 +31,10 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import Store, parse_reference, resolve
 from storage_schema.unpacked import CONTACT, ROWS
 from tasks.curation import choices_for, names_left_out
+from tasks.sides import SplitName, take_sides
 from tasks.streams import stream
 from tasks.unpacking import unpack_artifacts, unpack_folder
 
-SplitName = Literal["train", "validation", "test"]
 GroupName = Literal["take", "interaction"]
 Field = Literal["positions", "rotations", "source", "contacts", "mask", "scales", "skeleton"]
 FIELDS: tuple[Field, ...] = get_args(Field)
@@ -370,17 +369,11 @@ def _sides(clips: pa.Table, seed: int, *, group: str) -> dict[str, SplitName]:
     if rows and rows[0]["split"]:
         return {row["take_id"]: row["split"] for row in rows}
     tested = {row[group] for row in rows if row["is_held_out"]}
-    rest = sorted(
-        {row[group] for row in rows if row[group] not in tested},
-        key=lambda name: hashlib.sha256(f"{seed} {name}".encode()).hexdigest(),
-    )
-    num_test = 0 if tested or len(rest) < 3 else max(1, round(0.2 * len(rest)))
-    num_validation = 0 if len(rest) - num_test < 2 else max(1, round(0.1 * len(rest)))
-    ranked = dict(zip(rest, (["test"] * num_test + ["validation"] * num_validation), strict=False))
+    drawn = take_sides({row[group]: row[group] in tested for row in rows}, seed)
     sides: dict[str, SplitName] = {}
     for row in rows:
         if row["is_held_out"]:
             sides[row["take_id"]] = "test"
         elif row[group] not in tested:
-            sides[row["take_id"]] = ranked.get(row[group], "train")
+            sides[row["take_id"]] = drawn[row[group]].split
     return sides

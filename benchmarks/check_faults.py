@@ -109,15 +109,19 @@ def resize(people_m: Array, rate_hz: float, generator: np.random.Generator) -> A
 
 
 def push_together(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
-    """Shift B towards A in every frame until they are 15 to 20 cm inside each other for a fifth of the time."""
+    """Shift B towards A in every frame until they are 15 to 20 cm inside each other a fifth of the time, or nearly."""
     radii, wanted = capsule_model(BODY22).radii_of(people_m), generator.uniform(0.15, 0.20)
     way = (people_m[:, 0, 0] - people_m[:, 1, 0]) * [1.0, 0.0, 1.0]
     way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 0.05)
     step = max(1, round(rate_hz / 10.0))
+    deepest, planted = -np.inf, people_m
     for shift in np.arange(0.0, 2.0, 0.03):
-        planted = people_m.copy()
-        planted[:, 1] += shift * way[:, None]
-        if np.percentile(-surface_gaps(planted[::step], radii, BODY22).closest_m, 80.0) >= wanted:
+        pushed = people_m.copy()
+        pushed[:, 1] += shift * way[:, None]
+        depth = float(np.percentile(-surface_gaps(pushed[::step], radii, BODY22).closest_m, 80.0))
+        if depth > deepest:
+            deepest, planted = depth, pushed
+        if depth >= wanted:
             break
     return planted
 

@@ -1,5 +1,7 @@
 """Windows of variants or takes to train on: `PairDataset` in any order, `PairStream` shuffled, shared out, resumable.
 
+Torch's loader reads them::
+
     from tasks.windows import PairDataset, PairStream
 
     windows = PairDataset("variants:duets", window=30)  # of a study in a store, or variants:FOLDER

@@ -319,7 +319,9 @@ def check_mp4(paths: list[Path], text: str, store: Store) -> None:
 
 def drawn_px(store: Store, seen: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return where people belong on their annotation, and that: by the least squares of scale and shift, y down."""
-    rows = open_table(references(store)["annotations"], store)
+    manifests = [manifest for manifest in store.artifacts() if "annotations" in manifest.tables]
+    tables = (store.read(manifest.ref, "annotations") for manifest in manifests)
+    rows = next(table for table in tables if seen.sequence_id in table["sequence_id"])
     given = np.full((*seen.positions_m.shape[:3], 2), np.nan)
     for row in range(rows.num_rows):
         frame, person_id = int(rows["frame"][row]), int(rows["person_id"][row])

@@ -80,6 +80,8 @@ def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
                 if not column.shape:
                     columns[column.name][row] = put
         is_rounding = factor < 1
+    elif column.shape:
+        other[column.name][row].flat[-1] = one[column.name][row].flat[-1] + 1
     else:
         before = one[column.name][row]
         other[column.name][row] = (not before) if kind is Kind.BOOLEAN else (before or 0) + 1

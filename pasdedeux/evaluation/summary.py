@@ -39,7 +39,7 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "generated motion": {"evaluation: generation": _COMPARED},
 }
 """What a reader may use: the verdicts on it, or on its parts, and what these say in a few words."""
-_ADVICE = {True: "use", False: "do not use"}
+_ADVICE = {Level.PASS: "use", Level.WARN: "read the warnings on", Level.FAIL: "do not use"}
 _JUDGES = tuple(start for judges in _PRODUCTS.values() for start in judges)
 
 
@@ -157,11 +157,8 @@ class Summary:
         >>> Summary([], [], verdicts).advice
         'Use the variants; do not use the draws.'
         """
-        named: dict[bool, list[str]] = {True: [], False: []}
-        for product in reversed(self.products):
-            if product.level is not Level.NOT_JUDGED:
-                named[product.level is not Level.FAIL].append(f"the {product.name}")
-        parts = (f"{words} {together(named[is_good])}" for is_good, words in _ADVICE.items() if named[is_good])
+        named = {level: [f"the {one.name}" for one in self.products if one.level is level] for level in _ADVICE}
+        parts = (f"{words} {together(named[level])}" for level, words in _ADVICE.items() if named[level])
         sentence = "; ".join(parts)
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
 

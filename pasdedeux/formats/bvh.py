@@ -34,6 +34,9 @@ _COMMENT = ("#", "//", ";")
 
 _BEGINNING = re.compile(r"^[ \t]*HIERARCHY(?!\w)", re.IGNORECASE | re.MULTILINE)
 """Where a file begins; what some programs write before it is skipped."""
+_MOTION = re.compile(r"^[ \t]*MOTION[ \t]*$", re.IGNORECASE)
+_MOTION_BYTES = re.compile(rb"\}\s*\n[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
+"""Where the hierarchy ends, on a line of its own."""
 _FRAME_TIME = re.compile(rb"Frame\s*Time\s*:\s*\S+", re.IGNORECASE)
 _NUMBERS = b"0123456789+-.eE \t\r\n"
 _LARGE_BYTES, _NUM_SAMPLED = 2_000_000, 2000
@@ -119,7 +122,8 @@ def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion
 
 def _hierarchy(data: bytes) -> BvhHierarchy:
     """Read the joints of a file, and nothing of its frames."""
-    with Lines(_with_points(decode(data, "BVH file")), "BVH file") as lines:
+    end = _MOTION_BYTES.search(data)
+    with Lines(_with_points(decode(data[: end.end() if end else None], "BVH file")), "BVH file") as lines:
         return _read_hierarchy(lines)
 
 
@@ -194,7 +198,24 @@ class _Joint:
 
 
 def _read_hierarchy(lines: Lines) -> BvhHierarchy:
-    """Read up to the line MOTION, or all lines of a template."""
+    """Read up to the line MOTION, or all lines of a template; files of one rig, of which many are read, begin alike."""
+    head = lines.up_to(_MOTION)
+    try:
+        hierarchy, lines.number = _known_hierarchy(head, lines.number)
+    except FormatError:  # again, for the number of its line
+        hierarchy = _parse_hierarchy(lines)
+    return hierarchy
+
+
+@lru_cache(maxsize=64)
+def _known_hierarchy(head: str, number: int) -> tuple[BvhHierarchy, int]:
+    """Return the joints that lines tell, of which so many are read, and the number of the last one."""
+    lines = Lines(head, "BVH file")
+    hierarchy = _parse_hierarchy(lines)
+    return hierarchy, number + lines.number
+
+
+def _parse_hierarchy(lines: Lines) -> BvhHierarchy:
     joints: dict[str, _Joint] = {}
     blocks: list[_Joint] = []
     lines.skip_to(_BEGINNING)

@@ -11,7 +11,6 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import Draft, Layout, draft_mapping, find_layout
 from pasdedeux.skeletons.skeleton import by_side
@@ -36,8 +35,6 @@ _GUESSED = 0.5
 STATURE_OF_CHAIN = 1.13
 """Stature over the chain from the ankle to the ear: the foot is 5 % of it and the head above the ear 7 %."""
 
-_SAMPLE = 200
-"""Frames that a guess is made from."""
 _STANDS, _CLEARLY, _AT_REST = 0.7, 0.9, 0.5
 """Mean cosine between body and axis from which the body stands along it, and clearly; confidence in a rest pose."""
 _WALKS, _FLAT = 0.5, 0.4
@@ -122,7 +119,7 @@ def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGue
 
 def _axis_at_rest(source: SourceMotion, layout: Layout | None) -> AxisGuess:
     """Return the axis along which the rest pose stands, and how clearly: not at all where legs and trunk go one way."""
-    _, body = _sample(SourceMotion.at_rest(source.skeleton, source.rest_offsets), layout)
+    _, body = _sample(source.rest, layout)
     assert body is not None
     feet, hips, neck = body[0, _ANKLES].mean(axis=0), body[0, _HIPS].mean(axis=0), body[0, BODY22.index("neck")]
     stands = _directions(neck - hips) @ _directions(hips - feet) > _STANDS
@@ -215,7 +212,7 @@ def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
 
 def draft_motion(source: SourceMotion) -> Draft:
     """Guess the joints of a motion from names, tree and movement; see `draft_mapping`."""
-    return draft_mapping(source.skeleton, source.rest_offsets, _positions(source)[0])
+    return draft_mapping(source.skeleton, source.rest_offsets, source.sample[0])
 
 
 def _layout_of(source: SourceMotion) -> Layout | None:
@@ -225,17 +222,9 @@ def _layout_of(source: SourceMotion) -> Layout | None:
     return draft.layout("draft") if draft and draft.is_whole else known
 
 
-def _positions(source: SourceMotion) -> tuple[Array, Array]:
-    """Return positions (frame, J, 3) and world rotations (frame, J, 4) of some frames."""
-    step = max(1, source.num_frames // _SAMPLE)
-    return forward_kinematics(
-        source.skeleton, source.rest_offsets, source.root_translation[::step], source.local_unitquat[::step]
-    )
-
-
 def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array | None]:
     """Return positions of the joints and of body22 (frame, joint, 3) in some frames; no body22 of what is no body."""
-    positions, world = _positions(source)
+    positions, world = source.sample
     layout = layout or _layout_of(source)
     if layout is None:
         return positions, None

@@ -34,6 +34,7 @@ from pasdedeux.kinematics.rotations import (
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import Layout
+from pasdedeux.skeletons.mapping import weighted_points
 
 _HOLD_M = 1e-3
 """Where the points of a joint leave a turn open it is held, as if by points this far from it."""
@@ -68,7 +69,7 @@ class BodyMap:
 
     def positions(self, positions_m: Array, world_unitquat: Array) -> Array:
         """Return body22 (*batch, 22, 3) of positions (*batch, J, 3) and world rotations (*batch, J, 4), metres."""
-        weighted = np.einsum("bi,...ix->...bx", self.weight, positions_m)
+        weighted = weighted_points(self.weight, positions_m)
         for joint, carrier in zip(*np.nonzero(self.offset_m.any(axis=-1)), strict=True):
             offset = np.broadcast_to(self.offset_m[joint, carrier], weighted[..., joint, :].shape)
             weighted[..., joint, :] += rotate(world_unitquat[..., carrier, :], offset)

@@ -166,5 +166,4 @@ def mend_of_mirror(exchanged: Sequence[bool]) -> str:
 
 def _rest_axis(source: SourceMotion, layout: Layout | None) -> str:
     """Return the axis along which the rest pose stands."""
-    rest = SourceMotion.at_rest(source.skeleton, source.rest_offsets)
-    return guess_up_axis(rest, layout).axis
+    return guess_up_axis(source.rest, layout).axis

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError, check_positive
 from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.kinematics.rotations import conjugate, identity_unitquat, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.layouts.names import with_sides_exchanged
@@ -22,6 +24,9 @@ UP_AXES = {
     "-z": (np.pi / 2, 0.0, 0.0),
 }
 """Axes that may point up in a file, each with the rotation vector that turns it to y, as it is inside the project."""
+
+_SAMPLE = 200
+"""Frames that guesses are made from."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,19 @@ class SourceMotion:
     def num_frames(self) -> int:
         """Number of frames."""
         return len(self.root_translation)
+
+    @cached_property
+    def sample(self) -> tuple[Array, Array]:
+        """Positions (frame, J, 3) and world rotations (frame, J, 4) of 200 to 400 frames evenly spread, or all."""
+        step = max(1, self.num_frames // _SAMPLE)
+        return forward_kinematics(
+            self.skeleton, self.rest_offsets, self.root_translation[::step], self.local_unitquat[::step]
+        )
+
+    @cached_property
+    def rest(self) -> SourceMotion:
+        """One frame of its rest pose."""
+        return SourceMotion.at_rest(self.skeleton, self.rest_offsets)
 
     def frames(self, start: int, stop: int) -> SourceMotion:
         """Return frames `start` to `stop` (exclusive)."""

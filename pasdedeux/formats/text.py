@@ -85,6 +85,12 @@ class Lines:
         rest = range(self.number, len(self._texts))
         self.number = next((number for number in rest if beginning.match(self._texts[number])), self.number)
 
+    def up_to(self, ending: re.Pattern[str]) -> str:
+        """Return the lines that are left up to the first that matches, or all; they stay to be read."""
+        rest = range(self.number, len(self._texts))
+        stop = next((number + 1 for number in rest if ending.match(self._texts[number])), len(self._texts))
+        return "\n".join(self._texts[self.number : stop])
+
     def notes(self) -> Iterator[tuple[str, str]]:
         """Yield key and value of the next lines that are comments, `# key: value`, or blank; both may be empty."""
         while self.number < len(self._texts) and self._texts[self.number].strip()[:1] in ("", "#"):

@@ -7,6 +7,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, WORKING_SKELETONS, JointMap, Skeleton
+from pasdedeux.skeletons.mapping import weighted_points
 
 
 def test_working_skeletons_have_their_number_of_joints() -> None:
@@ -54,6 +55,15 @@ def test_a_broken_tree_is_refused(names: tuple[str, ...], parents: tuple[int, ..
 
 def _two_joints() -> Skeleton:
     return Skeleton(name="two", joint_names=("low", "high"), parents=(-1, 0))
+
+
+def test_weighted_points_are_to_the_last_bit_the_product_with_all_weights() -> None:
+    generator = np.random.default_rng(0)
+    weight = np.where(generator.random((5, 9)) < 0.3, generator.random((5, 9)), 0.0)
+    weight[0] = 0.0
+    for shape in ((9, 3), (20, 9, 3), (2, 7, 9, 3), (0, 9, 3)):
+        points = generator.normal(size=shape)
+        np.testing.assert_array_equal(weighted_points(weight, points), np.einsum("ts,...sd->...td", weight, points))
 
 
 def test_a_mapping_takes_weighted_means_of_source_joints() -> None:

@@ -53,7 +53,7 @@ def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
         rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
     """
     name = _fitting_name(skeleton)
-    return None if name is None else _fitted(LAYOUTS[name], skeleton, rest_offsets)
+    return None if name is None else _fitted(name, skeleton, rest_offsets)
 
 
 @lru_cache(maxsize=256)
@@ -84,7 +84,7 @@ def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
     lacking = _lacking(LAYOUTS[name], by_normal_name(skeleton.joint_names))
     if lacking:
         raise InputError(f"layout '{name}' needs {', '.join(lacking)}; joints: {', '.join(skeleton.joint_names[:30])}")
-    return _fitted(LAYOUTS[name], skeleton, rest_offsets)
+    return _fitted(name, skeleton, rest_offsets)
 
 
 def resolve_layout(
@@ -266,8 +266,15 @@ def _fullness(layout: Layout, joints: Mapping[str, str]) -> int:
     return has - (len(layout.parts) - has)
 
 
-def _fitted(layout: Layout, skeleton: Skeleton, rest_offsets: Array) -> Layout:
+def _fitted(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
     """Return a layout in the names of a file that has what it needs."""
+    return _fitted_once(name, skeleton, np.asarray(rest_offsets, np.float64).tobytes())
+
+
+@lru_cache(maxsize=64)
+def _fitted_once(name: str, skeleton: Skeleton, rest_offsets: bytes) -> Layout:
+    """Return it; files of one rig, of which there may be thousands, have the same joints and bones."""
+    layout, offsets = LAYOUTS[name], np.frombuffer(rest_offsets).reshape(-1, 3)
     joints, normal = by_normal_name(skeleton.joint_names), NORMAL_NAMES[layout.name]
     points = tuple(
         replace(point, joint=joints[normal[point.joint]], unit_bone=joints[normal[point.unit_bone]])
@@ -275,7 +282,7 @@ def _fitted(layout: Layout, skeleton: Skeleton, rest_offsets: Array) -> Layout:
         if {normal[point.joint], normal[point.unit_bone]} <= joints.keys()
     )
     told = replace(layout, parts=_in_file(layout, joints), points=points)
-    return _LayoutFit(told, skeleton, rest_offsets).layout()
+    return _LayoutFit(told, skeleton, offsets).layout()
 
 
 @dataclass(frozen=True)

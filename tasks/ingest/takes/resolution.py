@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
 from pasdedeux.formats.resolution import KnownSource, Mappings, Resolution, Stated, resolve_motion
 from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.skeletons import Skeleton
 from storage_schema import SourceCredit
 from tasks.ingest.files import find_file, load_file, read_again, read_start
 from tasks.ingest.takes.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
@@ -82,11 +85,31 @@ def resolve_file(
     if options is not None:
         stated = Stated(options.layout or "auto", options.rate_hz, options.metres_per_unit, options.up_axis or "auto")
     path = Path(file.path)
-    guessed = resolve_motion(rest, stated, mappings=mappings)
+    of_rest = rest.skeleton, rest.rest_offsets.tobytes(), rest.rate_hz, rest.metres_per_unit
+
+    def resolved(known: KnownSource) -> Resolution:
+        return resolve_motion(rest, stated, known, mappings) if mappings else _resolved(*of_rest, stated, known)
+
+    guessed = resolved(KnownSource())
     layout_name = guessed.layout.name if guessed.layout else ""
     is_fetched = was_fetched(path, file.sha256)
     known = known_source(path.name, layout_name, stated_hz=rest.rate_hz, is_fetched=is_fetched)
-    return guessed if known == KnownSource() else resolve_motion(rest, stated, known, mappings)
+    return guessed if known == KnownSource() else resolved(known)
+
+
+@lru_cache(maxsize=64)
+def _resolved(
+    skeleton: Skeleton,
+    rest_offsets: bytes,
+    rate_hz: float | None,
+    metres_per_unit: float | None,
+    stated: Stated,
+    known: KnownSource,
+) -> Resolution:
+    """Return what a rest pose is taken to be; files of one rig, of which there may be thousands, have the same."""
+    offsets = np.frombuffer(rest_offsets).reshape(-1, 3)
+    rest = SourceMotion.at_rest(skeleton, offsets, rate_hz=rate_hz, metres_per_unit=metres_per_unit)
+    return resolve_motion(rest, stated, known)
 
 
 def find_companion(path: Path, kind: MotionFormat, stated: Path | None = None) -> SourceFile | None:

@@ -207,9 +207,9 @@ def check_motion(motion: MotionFiles, original: MotionFiles | None = None) -> Ch
             **asdict(touch),
         }
         if against is not None:
-            quality, verdict = checked.held_against(against)
+            quality, held, verdict = checked.held_against(against)
             verdicts.append(verdict)
-            figures |= {"source": against.name, "against_source": asdict(quality)}
+            figures |= {"source": against.name, "against_source": asdict(quality) | asdict(held)}
     except InputError as error:
         said = str(error)
         for take in motion.section.takes:

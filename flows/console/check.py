@@ -19,7 +19,7 @@ from flows.console.display import Steps, format_table, make_listener
 from flows.console.inputs import RateOption, UnitOption, in_options
 from flows.exports.export_format import write_text
 from pasdedeux.augmentation import quality
-from pasdedeux.evaluation.motion_check import TOUCH
+from pasdedeux.evaluation.motion_check import HELD, TOUCH
 from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.report import render
 from pasdedeux.evaluation.score_tables import TextTable, format_value
@@ -234,4 +234,4 @@ _READ = {
     "stature": capture.FIGURES["stature_m"],
 }
 _CAPTURE = _columns(capture.FIGURES)
-_AGAINST = _columns(quality.FIGURES)
+_AGAINST = _columns(HELD) | _columns(quality.FIGURES)

@@ -89,7 +89,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
-        self._meter = QualityMeter(source, user_contacts)
+        self.meter = QualityMeter(source, user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
@@ -140,7 +140,7 @@ class Augmenter:
             solved: What is known of how it was made: fields of `Variant`, without which a model made it.
         """
         bone_scale = complete_scales(self.source, variation.bone_scale[None])
-        quality, frames = self._meter.measure(
+        quality, frames = self.meter.measure(
             points_of(positions_m),
             reference=points_of(reference_motion(self.source, bone_scale))[0],
             bone_scale=bone_scale[0],
@@ -186,7 +186,7 @@ class Augmenter:
         failed = np.flatnonzero(frame_verdicts == _FAILED)
         if level is not Level.PASS and len(failed):
             reasons.append(f"{len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}")
-        if self.source.ground_m is None and not self._meter.has_stances:
+        if self.source.ground_m is None and not self.meter.has_stances:
             level = Level.WARN if level is Level.PASS else level
             reasons.insert(0, "nobody ever stands: the floor is taken to be where the lowest feet are; say floor_m")
         closest_m = self.source.closest_m

@@ -221,6 +221,21 @@ class QualityMeter:
         )
         return quality, frames
 
+    def worst_contact(self, points: Array) -> tuple[float, tuple[int, int]] | None:
+        """Return how far the contact of two bones drifts that drifts most, and these bones; None without a contact.
+
+        How far is the 95th percentile of the change of distance of the surfaces, metres, over the frames in which the
+        two are in contact; bones are numbered through all people, by the joint that each ends in.  So a contact that is
+        lost for a while does not vanish among others that are kept.
+        """
+        if not len(self._frames):
+            return None
+        drift = np.abs(self._contact_distances(points) - self._distance)
+        both, which = np.unique(np.sort(self._contacts.bones()[self._held], axis=1), axis=0, return_inverse=True)
+        drifts = [float(np.percentile(drift[which == number], _PERCENTILE)) for number in range(len(both))]
+        worst = int(np.argmax(drifts))
+        return drifts[worst], (int(both[worst, 0]), int(both[worst, 1]))
+
     def _people(self, points: Array) -> Array:
         return points.reshape(-1, *self._source.positions_m.shape[1:])
 

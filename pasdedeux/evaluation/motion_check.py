@@ -11,14 +11,16 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.augmentation.quality import Quality
+from pasdedeux.augmentation.source import points_of
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.motion_players import links_of
 from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
-from pasdedeux.figure import figure, figures_of
+from pasdedeux.figure import complaints, figure, figures_of, limits_of
 from pasdedeux.formats.placement import floor_shift
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.interaction.surfaces import surface_gaps
+from pasdedeux.people.names import person_name
 from pasdedeux.plausibility.capture import FIGURES, PersonCapture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -44,6 +46,23 @@ class TouchFigures:
 
 
 TOUCH = figures_of(TouchFigures)
+
+
+@dataclass(frozen=True)
+class HeldContacts:
+    """How the contact of the source is kept that is kept worst."""
+
+    worst_contact_m: float | None = figure(
+        "Change of the distance of the surfaces of the two bones whose contact drifts most, 95th percentile over its "
+        "frames; null without a contact",
+        (0.01, 0.05),  # variants keep to 6 mm
+        words="worst contact",
+        complaint="the contact of {worst_contact} drifts by {worst_contact_m:.3f} m",
+    )
+    worst_contact: str = figure("These bones, such as `A left_wrist and B spine3`; empty without a contact")
+
+
+HELD = figures_of(HeldContacts)
 
 
 class CheckedMotion:
@@ -92,8 +111,8 @@ class CheckedMotion:
         gaps = [surface_gaps(people[:, both], radii[both], BODY22).closest_m for both in couples]
         return -np.min(gaps, axis=0) if gaps else np.full(len(people), -np.inf)
 
-    def held_against(self, original: CheckedMotion) -> tuple[Quality, Verdict]:
-        """Return how this keeps the contacts, the floor and the smoothness of its source, and the verdict on a variant.
+    def held_against(self, original: CheckedMotion) -> tuple[Quality, HeldContacts, Verdict]:
+        """Return how this keeps the contacts, the floor and the smoothness of its source, and the verdict on it.
 
         Raises:
             InputError: The two have different numbers of frames or people, or other rates.
@@ -106,8 +125,13 @@ class CheckedMotion:
             raise InputError(f"it has {own}, its source {original.name} {its}: a variant has the frames of its source")
         lengths, its_lengths = self.source.lengths_m, original.source.lengths_m
         scale = np.where(its_lengths > 0, lengths / np.maximum(its_lengths, 1e-9), 1.0)
-        variant = original._augmenter.assess(Variation(self.name, scale), self.source.positions_m)
-        return variant.quality, variant.verdict
+        augmenter, positions_m = original._augmenter, self.source.positions_m
+        variant = augmenter.assess(Variation(self.name, scale), positions_m)
+        held = HeldContacts(None, "")
+        if (worst := augmenter.meter.worst_contact(points_of(positions_m))) is not None:
+            held = HeldContacts(worst[0], " and ".join(_bone_name(bone) for bone in worst[1]))
+        lost = [Verdict(level, said) for _, level, said in complaints(held, HELD, limits_of(HELD))]
+        return variant.quality, held, joined([*lost, variant.verdict])
 
     def picture(self, said: str, people: Sequence[PersonCapture], original: CheckedMotion | None = None) -> Picture:
         """Return what a player shows: some seconds about its worst jump, beside the same of its source."""
@@ -131,6 +155,11 @@ def joined(verdicts: Sequence[Verdict]) -> Verdict:
     ranked = sorted(verdicts, key=lambda verdict: -verdict.level.rank)
     reasons = dict.fromkeys(verdict.reason for verdict in ranked if verdict.reason)
     return Verdict(ranked[0].level if ranked else Level.PASS, "; ".join(reasons))
+
+
+def _bone_name(bone: int) -> str:
+    person, joint = divmod(bone, BODY22.num_joints)
+    return f"{person_name(person)} {BODY22.joint_names[joint]}"
 
 
 def _spans(contacts: Contacts) -> Iterator[tuple[int, int]]:

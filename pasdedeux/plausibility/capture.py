@@ -29,13 +29,16 @@ _STEP_S, _SAMPLE_S = 1 / 30, 1 / 10
 """Time over which speed and jerk are taken; time between the frames in which partners and floor are looked at."""
 _JERK_PERCENT, _FLOOR_PERCENT, _DEPTH_PERCENT = 95.0, 5.0, 95.0
 _LOW_M, _AIR_M, _HELD_M = 0.05, 0.15, 0.2
-"""A foot joint carries that is no more than the first above the least height of that person's feet; who has no joint
-below the second is in the air (joints of feet lie 2-10 cm above the soles), held by a partner nearer than the third."""
+"""A foot joint carries that is no more than the first above the least height of its foot, and that less than the second
+above the other's; who has no joint below the second is in the air (joints of feet lie 2-10 cm above the soles), held by
+a partner nearer than the third."""
 _UPRIGHT = 0.5
 """Least cosine between the vertical and the line from ankles to neck of somebody upright."""
 _UP, _LEVEL = 1, [0, 2]
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _FEET = [*_ANKLES, *BODY22.indices(["left_toe", "right_toe"])]
+_OTHER_OF_FOOT = [2, 3, 0, 1]
+"""Of each of these the toe or ankle of the same foot."""
 _NECK = BODY22.index("neck")
 _TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
 _TOES = BODY22.indices(["left_toe", "right_toe"])
@@ -333,12 +336,18 @@ def _floors(ankles_m: Array, toes_m: Array, *, rate_hz: float, step: int) -> tup
 
 
 def _skate(feet_m: Array, step: int) -> float:
-    """Return how far the stiller of the feet joints (frame, joint, 3) that carry moves in so many frames, median."""
-    is_low = feet_m[..., _UP] < np.percentile(feet_m[..., _UP].min(axis=1), _FLOOR_PERCENT) + _LOW_M
+    """Return how far the stiller of the feet joints (frame, joint, 3) that carry moves in so many frames, median.
+
+    A foot may lie some centimetres above the other one all the time, and carries none the less.
+    """
+    height = feet_m[..., _UP]
+    lowest = np.minimum(height, height[:, _OTHER_OF_FOOT])
+    least = np.percentile(lowest, _FLOOR_PERCENT, axis=0)
+    is_low = (height < least + _LOW_M) & (least < least.min() + _AIR_M)
     moved = _norm((feet_m[step:] - feet_m[:-step])[..., _LEVEL])
-    least = np.where(is_low[step:] & is_low[:-step], moved, np.inf).min(axis=1)
-    carries = np.isfinite(least)
-    return float(np.median(least[carries])) if carries.any() else 0.0
+    stillest = np.where(is_low[step:] & is_low[:-step], moved, np.inf).min(axis=1)
+    carries = np.isfinite(stillest)
+    return float(np.median(stillest[carries])) if carries.any() else 0.0
 
 
 def _difference(one: Array, other: Array) -> float:

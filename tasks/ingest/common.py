@@ -8,7 +8,7 @@ from pydantic import AfterValidator
 
 from tasks.stage import StageName
 
-INGEST = StageName("ingest", 21)
+INGEST = StageName("ingest", 22)
 ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 """Names of takes and of sources."""
 

@@ -43,6 +43,24 @@ def test_figures_of_a_variant_are_those_of_its_frames_together() -> None:
     assert variant.frame_verdicts.shape == (FRAMES,)
 
 
+def test_the_worst_contact_does_not_vanish_among_those_that_are_kept() -> None:
+    """Two hands are held all the time, one hand and a knee in a quarter of it: the knee goes away by 6 cm."""
+    apart = np.repeat(swaying_pair(1, apart_m=3.0), 20, axis=0)
+    hands = UserContact(joint_a="left_wrist", joint_b="left_wrist", stop_frame=20)
+    meter = QualityMeter(
+        Source(apart, 30.0),
+        [hands, UserContact(joint_a="right_wrist", joint_b="left_knee", start_frame=3, stop_frame=8)],
+    )
+    hand, knee = BODY22.indices(["right_wrist", "left_knee"])
+    variant = apart.copy()
+    variant[3:8, 1, knee] += 0.06 * normalise(apart[3:8, 1, knee] - apart[3:8, 0, hand])
+    worst = meter.worst_contact(points_of(variant))
+    assert worst is not None
+    assert worst[0] == pytest.approx(0.06)
+    assert worst[1] == (hand, 22 + knee)
+    assert QualityMeter(Source(apart, 30.0)).worst_contact(points_of(apart)) is None
+
+
 def test_drift_is_that_of_each_kind_of_contact_in_the_frames_in_which_it_is_held() -> None:
     """Hands drift by 3 cm in ten frames, hand and knee by 2 cm in five, backs by 1 cm in two; plain ones by 9 cm."""
     apart = np.repeat(swaying_pair(1, apart_m=3.0), 10, axis=0)

@@ -171,6 +171,15 @@ def moving(path: Array, joint: str = "") -> Array:
     return body
 
 
+def stepping(path: Array, *, above_m: float) -> Array:
+    """Return somebody whose right foot slides along a path (frame,), while the left one is still, so far above it."""
+    body = np.repeat(STAND[None], len(path), axis=0)
+    left, right = (BODY22.indices([f"{side}_ankle", f"{side}_toe"]) for side in ("left", "right"))
+    body[:, left, 1] = body[:, right, 1] + above_m
+    body[:, right, 0] += path[:, None]
+    return body
+
+
 def lying(frames: int) -> Array:
     body = still()
     body[:frames] = body[:frames] @ LYING.T
@@ -213,6 +222,8 @@ RARELY = (np.arange(120) % 12 == 0)[:, None]
     [
         ("sunk_m", lambda _: [still(frames=range(12), joint="left_knee", by=(0.0, -0.3 - STAND[KNEE, 1], 0.0))], 0.3),
         ("skate_m_s", lambda time_s: [moving(0.9 * time_s)], 0.9),
+        ("skate_m_s", lambda time_s: [stepping(0.9 * time_s, above_m=0.08)], 0.0),
+        ("skate_m_s", lambda time_s: [stepping(0.9 * time_s, above_m=0.3)], 0.9),
         ("speed_m_s", lambda time_s: [moving(-2.0 * time_s, "left_wrist")], 2.0),
         ("jerk_m_s3", lambda time_s: [moving(100.0 * time_s**3, "left_wrist")], 600.0),
         ("floating_share", lambda _: [still(frames=range(24), by=(0.0, 0.5, 0.0))], 0.2),

@@ -26,6 +26,7 @@ from tasks.ingest.files import load_file, read_again
 from tasks.judgements import VERDICT_FACT
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
+from tasks.sweep import SweptParameters
 from tasks.takes import read_take
 from tasks.training.run import load_stored, refuse_without_torch
 
@@ -35,8 +36,8 @@ _PER_SHARD = 8
 """Variants of a take in one unit of work."""
 
 
-class GenerationParameters(Parameters):
-    """Models to sample from, and how much."""
+class GenerationParameters(SweptParameters):
+    """A model to sample from, and how much; `sweep` names others."""
 
     model: str = Field(
         "", description="Trained model by the name it is kept under, or NAME@SPLIT; nothing is generated without one"
@@ -61,11 +62,16 @@ class SampledParameters(Parameters):
 
 
 def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
-    """Plan one shard per take of two people and block of variants; none without a model.
+    """Plan one shard per model, take of two people and block of variants; none without a model.
 
     Raises:
         InputError: Not one model has the name, it is of another skeleton, or key frames are of no take or outside it.
     """
+    sections = (parameters, *parameters.swept().values())
+    return [shard for section in sections for shard in _plan_model(inputs, section)]
+
+
+def _plan_model(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
     name, _, split = parameters.model.partition("@")
     if not name:
         return []
@@ -117,7 +123,12 @@ def check_study(sections: Mapping[str, Any]) -> None:
     Raises:
         InputError: Names the key and what is allowed.
     """
-    parameters: GenerationParameters = sections["generation"]
+    first: GenerationParameters = sections["generation"]
+    for section in (first, *first.swept().values()):
+        _check_model(section, sections)
+
+
+def _check_model(parameters: GenerationParameters, sections: Mapping[str, Any]) -> None:
     name = parameters.model.partition("@")[0]
     for take_id, path in parameters.key_frames.items():
         with named(f"generation.key_frames.{take_id}"):

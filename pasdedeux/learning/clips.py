@@ -53,6 +53,11 @@ def clips_of(
     return pair_frame(slow[starts[:, None] + np.arange(num_frames)], num_frames // 2 if frame is None else frame)
 
 
+def exchange(clips: Array) -> Array:
+    """Return clips (n, T, 2, 22, 3), metres, whose A is B and whose B is A, in the frame of the pair."""
+    return pair_frame(clips[:, :, ::-1], clips.shape[1] // 2)
+
+
 def joint_errors(predicted: Array, true: Array) -> tuple[Array, Array]:
     """Return JME and AME (n, T), centimetres, of motions (n, T, 2, 22, 3), metres (Guo et al. 2022).
 

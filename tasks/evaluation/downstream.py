@@ -13,7 +13,7 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.score_tables import TextTable, pivot_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, clips_of, joint_errors
+from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, clips_of, exchange, joint_errors
 from pasdedeux.learning.meter import GENERATED, SOLVER
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
@@ -33,26 +33,27 @@ HORIZONS_S = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SHARES = {"80/10/10": (0.8, 0.1), "50/20/30": (0.5, 0.3)}
 """Shares of the takes of every interaction for training and test; the rest is for validation, which nothing here uses,
 as nothing is selected."""
+_BY = "augmented_by_"
+_FEW_TEST = 0.3
+"""Share of the takes that test where the number of training takes is stated, the same for every number."""
 _METHODS = (BY_SOLVER, BY_MODEL, WITHOUT, STILL, TRUTH, SOLVER, GENERATED, LARGEST)
-"""In the order of the tables' columns."""
+"""In the order of the tables' columns; further models come after them."""
 _JUDGED = {BY_SOLVER: "", BY_MODEL: "model"}
 """Names of the criteria by what they judge."""
 _ASKED = {BY_SOLVER: SOLVER, BY_MODEL: GENERATED}
-"""What the variants of test takes are called that a classifier is asked about."""
-_EFFECTS = ((BY_SOLVER, WITHOUT), (BY_MODEL, WITHOUT), (BY_MODEL, BY_SOLVER))
-"""Trainings that are compared seed by seed."""
+"""What the variants of test takes are called that a classifier is asked about; further models' have their own names."""
 
 Clips = Mapping[str, Array]
 """Clips (n, T, 2, 22, 3), metres, by interaction."""
 
 
 class OneTraining(Parameters):
-    """One repetition: which shares, with which seed, and the model beside the solver with the takes that it saw."""
+    """One repetition: which shares, with which seed, and models beside the solver with the takes that they saw."""
 
     shares: str
     seed: int
     learned: LearnedSettings
-    model: str = ""
+    models: tuple[str, ...] = ()
     seen: tuple[str, ...] = ()
 
 
@@ -64,37 +65,44 @@ def _plan(topic: Topic[None], shares: Sequence[str], inputs: StageInputs, settin
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
         return []
     ids = {TakeFacts.of(take).take_id for take in used}
-    model, seen = _unseeing_model(inputs, used)
     made: dict[str, list[Manifest]] = {}
     for manifest in inputs.of("variants"):
         if VariantFacts.of(manifest).take_id in ids:
             made.setdefault(_model_of(manifest), []).append(manifest)
+    solved = made.pop("", [])
+    models, seen = _unseeing_models(inputs, used, made)
     return [
         topic.shard(
             inputs,
             f"{name} seed {seed}",
-            OneTraining(shares=name, seed=seed, learned=settings.part(LearnedSettings), model=model, seen=seen),
+            OneTraining(shares=name, seed=seed, learned=settings.part(LearnedSettings), models=models, seen=seen),
             takes=used,
-            variants=made.get("", []),
-            generated=made[model] if model else [],
+            variants=solved,
+            generated=[manifest for model in models for manifest in made[model]],
         )
         for name in shares
         for seed in range(settings.num_downstream_seeds)
     ]
 
 
-def _unseeing_model(inputs: StageInputs, takes: Iterable[Manifest]) -> tuple[str, tuple[str, ...]]:
-    """Return the model of the sampled variants, as NAME@SPLIT, and the takes that it learned from or was chosen by.
+def _unseeing_models(
+    inputs: StageInputs, takes: Iterable[Manifest], sampled: Iterable[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return models that variants were sampled from, as NAME@SPLIT, and the takes that they learned from or chose by.
 
-    Only takes that it did not see are tested on.  Empty where it left none of two interactions, or there is no model.
+    Only takes that they did not see are tested on, so all saw the same takes as the first that left some of two
+    interactions.  Empty where there is none.
     """
-    for manifest in inputs.of("models"):
-        facts = ModelFacts.of(manifest)
-        name, seen = f"{facts.model}@{facts.split}", {*facts.train, *facts.validation}
-        unseen = {interaction_of(take) for take in takes if TakeFacts.of(take).take_id not in seen}
-        if len(unseen) > 1 and any(_model_of(one) == name for one in inputs.of("variants")):
-            return name, tuple(sorted(seen))
-    return "", ()
+    known = [ModelFacts.of(manifest) for manifest in inputs.of("models")]
+    saw = {f"{facts.model}@{facts.split}": tuple(sorted({*facts.train, *facts.validation})) for facts in known}
+    usable = [
+        name
+        for name in sampled
+        if name in saw
+        and len({interaction_of(take) for take in takes if TakeFacts.of(take).take_id not in saw[name]}) > 1
+    ]
+    seen = saw[usable[0]] if usable else ()
+    return tuple(name for name in usable if saw[name] == seen), seen
 
 
 def _model_of(variants: Manifest) -> str:
@@ -103,14 +111,19 @@ def _model_of(variants: Manifest) -> str:
     return "" if origin is None else f"{origin.model}@{origin.split}"
 
 
+def _shares(settings: LearnedSettings) -> tuple[str, ...]:
+    """Return the names of the divisions of takes: by share as published, or by how many are learned from."""
+    return tuple(map(str, settings.num_training_takes)) or tuple(_SHARES)
+
+
 def _plan_recognition(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
-    """Plan both shares of takes, with every seed."""
-    return _plan(RECOGNITION, tuple(_SHARES), inputs, settings)
+    """Plan every division of takes, with every seed."""
+    return _plan(RECOGNITION, _shares(settings), inputs, settings)
 
 
 def _plan_prediction(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
-    """Plan the first shares of takes, with every seed."""
-    return _plan(PREDICTION, tuple(_SHARES)[:1], inputs, settings)
+    """Plan the first published division of takes, or every number of them, with every seed."""
+    return _plan(PREDICTION, _shares(settings)[: len(settings.num_training_takes) or 1], inputs, settings)
 
 
 def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
@@ -121,14 +134,22 @@ def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
     one = _Repetition(shard, store)
     from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
 
-    tested = one.clips(one.test)
+    learned = one.options.learned
+    classes = _with_roles if learned.tells_roles else dict[str, Array]
+    tested = classes(one.clips(one.test))
     trained = {
-        method: train_classifier(clips, one.options.learned.classifier, one.stream("recognition"))
+        method: train_classifier(
+            classes(clips), learned.classifier, one.stream("recognition"), tells_roles=learned.tells_roles
+        )
         for method, clips in one.training_sets.items()
     }
     found = {method: classifier.accuracy(tested) for method, classifier in trained.items()}
     found[LARGEST] = 100.0 * max(map(len, tested.values())) / _count(tested)
-    asked = {name: one.clips(one.test, by, has_takes=False) for by, name in _ASKED.items() if by in trained}
+    asked = {
+        _ASKED.get(by, by.removeprefix(_BY)): classes(one.clips(one.test, by, has_takes=False))
+        for by in trained
+        if by != WITHOUT
+    }
     told = [("recognised", name, trained[WITHOUT].accuracy(clips), clips) for name, clips in asked.items() if clips]
     told += [("recognised", name, found[method], tested) for name, method in ((TRUTH, WITHOUT), (LARGEST, LARGEST))]
     told += [("accuracy", method, value, tested) for method, value in found.items()]
@@ -136,6 +157,11 @@ def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
     scores = [Score(metric, name, value, "%", count=_count(clips), **more) for metric, name, value, clips in told]
     values = {method: np.array([value]) for method, value in found.items()}
     return one.result(scores, Items(values, [one.name], [0.0], _count(tested)))
+
+
+def _with_roles(clips: Clips) -> Clips:
+    """Return the clips, and with A and B exchanged those of another class."""
+    return {**clips, **{f"{kind}, exchanged": exchange(some) for kind, some in clips.items()}}
 
 
 def _predict(shard: Shard, store: Store) -> TopicResult[None]:
@@ -172,9 +198,13 @@ class _Repetition:
     def __init__(self, shard: Shard, store: Store, **cut: Any) -> None:
         refuse_without_torch(f"the topic {shard.partition}", "evaluation.num_downstream_seeds=0")
         self.options, self._seed, self._cut = shard.options(OneTraining), shard.seed, cut
-        takes = shard.refs("takes")
-        makers = {BY_SOLVER: "variants"} | ({BY_MODEL: "generated"} if self.options.model else {})
-        self._variants = {by: StoredVariants(store, takes, shard.refs(name)) for by, name in makers.items()}
+        takes, first = shard.refs("takes"), self.options.models[:1]
+        made = {BY_SOLVER: list(shard.refs("variants"))}
+        for ref in shard.refs("generated"):
+            model = _model_of(store.manifest(ref))
+            by = BY_MODEL if model in first else _BY + model.partition("@")[0]
+            made.setdefault(by, []).append(ref)
+        self._variants = {by: StoredVariants(store, takes, refs) for by, refs in made.items()}
         self.train, self.test = split_takes(map(store.manifest, takes), self.options, self.stream("takes"))
 
     @property
@@ -187,7 +217,7 @@ class _Repetition:
         return stream(self._seed, "evaluation", what, self.options.shares, self.options.seed)
 
     def clips(self, takes: Iterable[Manifest], by: str = WITHOUT, *, has_takes: bool = True) -> Clips:
-        """Return clips of takes, and of as many of their variants as solver and model both have."""
+        """Return clips of takes, and of as many of their variants as solver and models all have."""
         found: dict[str, list[Array]] = {}
         for take in takes:
             take_id = TakeFacts.of(take).take_id
@@ -204,7 +234,7 @@ class _Repetition:
 
     @cached_property
     def training_sets(self) -> dict[str, Clips]:
-        """The real clips with as many variants of solver and of model, and alone."""
+        """The real clips with as many variants of solver and of each model, and alone."""
         return {by: self.clips(self.train, by) for by in (*self._variants, WITHOUT)}
 
     def result(self, scores: Sequence[Score], items: Items) -> TopicResult[None]:
@@ -214,8 +244,8 @@ class _Repetition:
             f"{self.name}: {len(self.train)} training takes with {real} clips, and {augmented - real} of their "
             f"variants; {len(self.test)} test takes. All train for as many steps."
         )
-        if self.options.model:
-            note += f" {self.options.model} made as many variants, and saw none of the test takes."
+        if self.options.models:
+            note += f" As many are of {', '.join(self.options.models)}, which saw none of the test takes."
         judged = {name: items for by, name in _JUDGED.items() if by in items.values}
         return TopicResult(scores, [note], judged, BASELINES)
 
@@ -227,7 +257,7 @@ def split_takes(
 
     Held-out takes only test, takes that the model saw do not.
     """
-    learn, judge = _SHARES[options.shares]
+    learn, judge = _SHARES.get(options.shares, (0.0, _FEW_TEST))
     by_kind: dict[str, list[Manifest]] = {}
     for take in takes:
         by_kind.setdefault(interaction_of(take), []).append(take)
@@ -238,7 +268,8 @@ def split_takes(
         drawn = [ordered[at] for at in generator.permutation(len(ordered))]
         drawn.sort(key=lambda take: (TakeFacts.of(take).is_held_out, TakeFacts.of(take).take_id not in options.seen))
         num_test = max(round(judge * len(drawn)), 1)
-        num_train = min(max(round(learn * len(drawn)), 1), len(drawn) - num_test)
+        wanted = round(learn * len(drawn)) if learn else int(options.shares)
+        num_train = min(max(wanted, 1), len(drawn) - num_test)
         train += [take for take in drawn[:num_train] if not TakeFacts.of(take).is_held_out]
         test += [take for take in drawn[-num_test:] if TakeFacts.of(take).take_id not in options.seen]
     return train, test
@@ -299,10 +330,13 @@ def prediction_tables(scores: Sequence[Score]) -> list[TextTable]:
 def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
     """Return the figures of each training set by split, and differences seed by seed; none where there is none."""
     there = {score.method for score in scores}
-    methods = [method for method in _METHODS if method in there]
-    pairs = [pair for pair in _EFFECTS if there.issuperset(pair)]
+    methods = [method for method in (*_METHODS, *sorted(there.difference(_METHODS))) if method in there]
+    made = [method for method in methods if method.startswith(_BY)]
+    pairs = [(method, WITHOUT) for method in made] + [(method, BY_SOLVER) for method in made if method != BY_SOLVER]
+    pairs = [pair for pair in pairs if there.issuperset(pair)]
     rows = []
-    for split in sorted({score.split for score in scores}, reverse=True):
+    splits = {score.split: None for score in sorted(scores, key=lambda score: _division(score.split))}
+    for split in splits:
         found = {
             name: _of_seeds(score for score in scores if (score.split, score.method) == (split, name))
             for name in methods
@@ -310,8 +344,14 @@ def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
         differences = [[found[one][seed] - found[other][seed] for seed in found[one]] for one, other in pairs]
         rows.append((split, *(_spread([*own.values()]) for own in found.values()), *map(_effect, differences)))
     effects = (f"{in_words(one)} - {in_words(other)} (95 %)" for one, other in pairs)
-    headings = ("training / validation / test", *map(in_words, methods), *effects)
+    division = "training / validation / test" if "/" in "".join(splits) else "training takes of each interaction"
+    headings = (division, *map(in_words, methods), *effects)
     return [TextTable(caption, headings, tuple(rows))] if rows else []
+
+
+def _division(split: str) -> tuple[int, str]:
+    """Return the key by which divisions of takes are sorted: few takes first, large shares first."""
+    return (int(split), "") if split.isdecimal() else (-int(split.partition("/")[0]), split)
 
 
 def _of_seeds(scores: Iterable[Score]) -> dict[str, float]:
@@ -342,8 +382,8 @@ def _motion(score: Score) -> str:
 
 
 _MODEL_TOO = (
-    " Variants are the solver's, or as many of a model (stage `generation`) that saw no test take, as those of splits "
-    "across interactions."
+    " Variants are the solver's, or as many of each model (stage `generation`) that saw no test take, as those of "
+    "splits across interactions."
 )
 RECOGNITION = Topic(
     name="recognition",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -42,6 +42,12 @@ class LearnedSettings(Parameters):
     )
     num_downstream_seeds: int = Field(
         0, ge=0, le=20, description="Trainings of each kind that recognition and prediction of motion are repeated in"
+    )
+    tells_roles: bool = Field(
+        False, description="Recognition tells roles apart: clips with A and B exchanged are classes of their own"
+    )
+    num_training_takes: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        (), description="Takes of each interaction to learn from, one training each, instead of the published shares"
     )
     classifier: ClassifierSettings = Field(ClassifierSettings(), description="Training of the classifier of clips")
     predictor: PredictorSettings = Field(PredictorSettings(), description="Training of the predictor of motion")

@@ -1,6 +1,6 @@
 """The classifier of clips and the predictor of motion: what they cannot see, what they learn, that they repeat it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +11,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import rotate
-from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, joint_errors
+from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, exchange, joint_errors
 from pasdedeux.learning.networks.clip_classifier import train_classifier
 from pasdedeux.learning.networks.motion_predictor import train_predictor
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
@@ -20,6 +20,7 @@ from tasks.evaluation import evaluation_stage
 from tasks.evaluation.downstream import (
     BY_MODEL,
     BY_SOLVER,
+    LARGEST,
     PREDICTION,
     RECOGNITION,
     STILL,
@@ -28,6 +29,7 @@ from tasks.evaluation.downstream import (
     prediction_scores,
     prediction_tables,
     recognition_tables,
+    split_takes,
 )
 from tasks.evaluation.topic import Topic
 from tasks.stage import Shard, StageInputs
@@ -147,12 +149,17 @@ SEEN = {*TAKES[:6]}
 MODEL = {"model": "sampler", "split": "cross_interaction", "artifact": "0", "segment": 0, "seed": 0}
 
 
-def _study(store: Store, seen: set[str]) -> StageInputs:
-    """Return takes of 3.0 s, each at a height of its own, three variants of the solver and two of a model."""
+def _study(store: Store, seen: set[str], models: Sequence[str] = ("sampler",)) -> StageInputs:
+    """Return takes of 3.0 s, each at a height of its own, three variants of the solver and two of each model."""
     first, *others = sorted(seen)
     split = {"train": {one: ["x"] for one in others}, "validation": {first: ["x"]}, "test": {}, "shares_takes": False}
     facts: dict[str, Any] = {"kind": "model", "class": "paper_cvae", **MODEL, **split}
-    found = {"models": [put(store, "training", "sampler", {"models": random_columns("models", 1)}, facts)]}
+    found = {
+        "models": [
+            put(store, "training", name, {"models": random_columns("models", 1)}, {**facts, "model": name})
+            for name in models
+        ]
+    }
     for number, take_id in enumerate(TAKES):
         motion = swaying_pair(FRAMES, seed=number) + np.array([0.0, 10.0 * number, 0.0])
         people = np.swapaxes(motion, 0, 1).reshape(-1, 22, 3)
@@ -161,7 +168,7 @@ def _study(store: Store, seen: set[str]) -> StageInputs:
         duet = {"name": take_id.partition("_")[0]}
         made = put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts, duet=duet)
         found.setdefault("poses", []).append(made)
-        for by, count, origin in (("solver", 3, None), ("sampler", 2, MODEL)):
+        for by, count, origin in (("solver", 3, None), *((name, 2, {**MODEL, "model": name}) for name in models)):
             names = [f"{by}-{index}" for index in range(count)]
             frames, scale = np.full(count, FRAMES), [np.ones(44)] * count
             own = {"variant_id": names, "bone_scale": scale, "num_frames": frames, "verdict": ["pass"] * count}
@@ -174,8 +181,8 @@ def _study(store: Store, seen: set[str]) -> StageInputs:
     return StageInputs(found, seed=3)
 
 
-def _shards(inputs: StageInputs, topic: Topic) -> list[Shard]:
-    told = {"num_downstream_seeds": 3, "predictor": {"num_steps": 2}}
+def _shards(inputs: StageInputs, topic: Topic, **more: object) -> list[Shard]:
+    told = {"num_downstream_seeds": 3, "predictor": {"num_steps": 2}, **more}
     return topic.plan(inputs, evaluation_stage([topic]).parameters.model_validate(told))
 
 
@@ -190,7 +197,7 @@ def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_
     learned: list[list[str]] = []
     asked: list[list[str]] = []
 
-    def learn(clips: Mapping[str, np.ndarray], *_: object) -> SimpleNamespace:
+    def learn(clips: Mapping[str, np.ndarray], *_: object, **__: object) -> SimpleNamespace:
         learned.append(_takes_of(clips))
         return SimpleNamespace(accuracy=lambda clips: float(asked.append(_takes_of(clips)) is None))
 
@@ -211,6 +218,56 @@ def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_
     assert len(drawn) > 1, "seeds test on other takes"
     for shard in _shards(_study(Store(tmp_path / "saw_all"), set(TAKES)), RECOGNITION):
         assert (shard.refs("generated"), shard.options(OneTraining).seen) == ((), ()), "the model is left out"
+
+
+def test_several_models_learn_beside_each_other_and_roles_are_classes_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained: list[Mapping[str, np.ndarray]] = []
+
+    def learn(clips: Mapping[str, np.ndarray], *_: object, tells_roles: bool) -> SimpleNamespace:
+        assert tells_roles
+        trained.append(clips)
+        return SimpleNamespace(accuracy=lambda clips: float(len(clips)))
+
+    monkeypatch.setattr("pasdedeux.learning.networks.clip_classifier.train_classifier", learn)
+    store = Store(tmp_path)
+    shard = _shards(_study(store, SEEN, ("sampler", "other")), RECOGNITION, tells_roles=True)[0]
+    result = RECOGNITION.compute(shard, store)
+    assert [{kind: len(some) for kind, some in clips.items()} for clips in trained[:3]] == [
+        {kind: len(some) for kind, some in trained[0].items()}
+    ] * 3, "solver and both models make as many"
+    kinds = ("hug", "judo", "push", "waltz")
+    assert set(trained[0]) == {*kinds, *(f"{kind}, exchanged" for kind in kinds)}
+    for clips in trained:
+        for kind in kinds:
+            np.testing.assert_allclose(exchange(clips[f"{kind}, exchanged"]), clips[kind], atol=1e-9)
+    made = {score.method: score.value for score in result.scores if score.metric == "accuracy"}
+    assert set(made) == {BY_SOLVER, BY_MODEL, "augmented_by_other", WITHOUT, LARGEST}
+    assert made[BY_SOLVER] == 4.0, "two interactions that no model saw, each in two roles"
+    (table, _) = recognition_tables(result.scores)
+    assert "augmented by other - augmented by the solver (95 %)" in table.headings
+    assert "sampler@cross_interaction, other@cross_interaction" in result.notes[0]
+
+
+def test_few_takes_are_learned_from_and_the_same_takes_tested_on_whatever_their_number(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    shards = _shards(_study(store, SEEN), PREDICTION, num_training_takes=[2, 1])
+    sides = {}
+    for shard in shards:
+        options = shard.options(OneTraining)
+        takes = [store.manifest(ref) for ref in shard.refs("takes")]
+        train, test = split_takes(takes, options, np.random.default_rng(options.seed))
+        assert len(train) == 4 * int(options.shares)
+        sides.setdefault(options.seed, []).append({take.partition for take in test})
+    assert [len(tests) for tests in sides.values()] == [2, 2, 2]
+    assert all(one == other for one, other in sides.values())
+    scores = [
+        Score("JME_mean", method, 1.0, "cm", split=number, item="hug, seed 0")
+        for number in ("8", "1", "2")
+        for method in (BY_SOLVER, WITHOUT)
+    ]
+    assert [row[0] for row in prediction_tables(scores)[0].rows] == ["1", "2", "8"]
 
 
 def test_seeds_change_what_is_found_and_the_order_of_the_work_does_not(tmp_path: Path) -> None:

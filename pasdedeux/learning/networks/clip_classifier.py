@@ -20,7 +20,7 @@ from torch.nn.functional import layer_norm, pad
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.learning.clips import CLIP_FRAMES, CLIP_HZ, pair_frame
+from pasdedeux.learning.clips import CLIP_FRAMES, CLIP_HZ, exchange
 from pasdedeux.learning.networks.layers import Batch
 from pasdedeux.learning.networks.training import adam, fit
 from pasdedeux.learning.settings import ClassifierSettings
@@ -111,9 +111,15 @@ class _Block(nn.Module):
 
 
 def train_classifier(
-    clips: Mapping[str, Array], settings: ClassifierSettings, generator: np.random.Generator
+    clips: Mapping[str, Array],
+    settings: ClassifierSettings,
+    generator: np.random.Generator,
+    *,
+    tells_roles: bool = False,
 ) -> ClipClassifier:
-    """Train on clips (n, 20, 2, 22, 3), metres, by class; who is A and who is B changes places by chance.
+    """Train on clips (n, 20, 2, 22, 3), metres, by class.
+
+    A and B change places at random, unless classes tell who of them is who.
 
     Raises:
         InputError: Fewer than two classes, a class without clips, or training came to numbers that are not finite.
@@ -129,8 +135,9 @@ def train_classifier(
     def draw() -> tuple[Mapping[str, Narrow], str]:
         which = generator.integers(len(labels), size=_CLIPS_PER_STEP)
         found = np.stack([clips[labels[one]][generator.integers(len(clips[labels[one]]))] for one in which])
-        swapped = generator.random(len(found)) < 0.5
-        found[swapped] = pair_frame(found[swapped][:, :, ::-1], CLIP_FRAMES // 2)
+        if not tells_roles:
+            swapped = generator.random(len(found)) < 0.5
+            found[swapped] = exchange(found[swapped])
         known = np.eye(len(labels), dtype=np.float32)[which]
         return {"clips": _channels(found), "is_class": known}, f"clips of {', '.join(labels)}"
 

@@ -1,4 +1,4 @@
-"""Takes, variants, draws and contacts of a store as objects for Python and notebooks: `from tasks.data import Data`.
+"""Takes, variants, draws and contacts of a store as objects for Python and notebooks: `from pasdedeux.data import Data`.
 
 Positions are in metres, Y up, as (frame, person, joint, 3); every object says its joints and its rate, gives numpy and
 pandas, and shows itself in a notebook with the report's player.  It stands here, as this is the lowest package that may
@@ -33,6 +33,7 @@ from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows, find_contact_rows
 from tasks.curation import IDENTITY, choices_for, choices_in, content_columns, names_left_out, rows_without
 from tasks.facts import TakeFacts
+from tasks.products import PRODUCT_COLUMNS, product_rows
 from tasks.shown_motions import read_shown_motion
 from tasks.takes import read_take, read_variants, take_of
 
@@ -232,8 +233,10 @@ class Data:
         """Return draws."""
         return self.pairs(f"draws:{where}")
 
-    def pairs(self, reference: str, *, count: int | None = None) -> Pairs:
+    def pairs(self, reference: str, *, count: int | None = None, all_methods: bool = True) -> Pairs:
         """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread.
+
+        Of lifted pairs those of every method, or of the best for each annotation (`tasks.products`).
 
         Raises:
             InputError: The table has no pairs, or the count is no whole number of 1 or more.
@@ -243,13 +246,14 @@ class Data:
         if count is not None:
             check_whole(count, "count", minimum=1)
         left_out = self.left_out(reference)
-        names = IDENTITY[parse_reference(reference).table] if left_out else ()
+        names = {*(IDENTITY[table] if left_out else ()), *(() if all_methods else PRODUCT_COLUMNS.get(table, ()))}
         total = sum(rows.stop - rows.start for _, rows in find_rows(parse_reference(reference), self.store))
         wanted = np.asarray(range(total) if count is None else evenly_spread(total, count), dtype=np.int64)
         found, kept, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], [wanted[:0]], 0
-        for batch in iter_rows(reference, self.store, columns=["pair17_m", *names]):
+        for batch in iter_rows(reference, self.store, columns=["pair17_m", *sorted(names)]):
             own = wanted[(wanted >= first) & (wanted < first + batch.num_rows)] - first
             own = own[np.isin(own, rows_without(batch, left_out))]
+            own = own if all_methods else own[np.isin(own, product_rows(batch))]
             kept.append(first + own)
             found.append(np.asarray(batch["pair17_m"][own], dtype=np.float64))
             first += batch.num_rows
@@ -259,7 +263,8 @@ class Data:
         """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
-            return [self.pairs(reference, count=_MAX_SHOWN).picture]
+            count = None if table in PRODUCT_COLUMNS else _MAX_SHOWN
+            return [self.pairs(reference, count=count, all_methods=False).picture]
         if table == "motions":
             left_out = self.left_out(reference)
             motions = (read_shown_motion(self.store, ref, left_out) for ref in resolve(reference, self.store))

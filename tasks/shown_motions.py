@@ -13,11 +13,12 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import PLAYER, Picture
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.curation import without
+from tasks.products import product_rows
 from tasks.takes import rate_of
 
 
 class ShownMotion(NamedTuple):
-    """Result of the last method for a sequence; arguments of `reconstruction_player`."""
+    """Result of the best method for a sequence; arguments of `reconstruction_player`."""
 
     sequence_id: str
     caption: str
@@ -41,16 +42,16 @@ def read_motion_rows(store: Store, motions: ArtifactRef) -> TableData:
 
 
 def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[str] = ()) -> ShownMotion | None:
-    """Return what the last method made of a sequence, but for what is left out (`tasks.curation`); None of nothing."""
+    """Return the product of a sequence, but for what is left out (`tasks.curation`); None of nothing."""
     table = without(read_motion_rows(store, motions), left_out)
+    table = TableData(table.table, table.rows.take(product_rows(table)))
     if not table.num_rows:
         return None
     method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
-    is_shown = table["method"] == method
-    frames, rows = np.unique(table["frame"][is_shown], return_inverse=True)
-    persons, columns = np.unique(table["person_id"][is_shown], return_inverse=True)
+    frames, rows = np.unique(table["frame"], return_inverse=True)
+    persons, columns = np.unique(table["person_id"], return_inverse=True)
     positions_m = np.full((len(frames), len(persons), 14, 3), np.nan)
-    positions_m[rows, columns] = table["op14_m"][is_shown]
+    positions_m[rows, columns] = table["op14_m"]
     caption = (
         f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs that are too "
         "short or bent wrongly show from the side."

@@ -2,7 +2,7 @@
 
 Torch's loader reads them::
 
-    from tasks.windows import PairDataset, PairStream
+    from pasdedeux.data import PairDataset, PairStream
 
     windows = PairDataset("variants:duets", window=30)  # of a study in a store, or variants:FOLDER
     for batch in DataLoader(PairStream(windows, batch_size=64), batch_size=None, num_workers=2):

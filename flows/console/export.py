@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from typer import Option
 
 from flows.console.context import ReferenceArgument, StoreOption, app, echo, open_store, say
-from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference, export_selection
+from flows.exports import EXPORT_FORMATS, Rate, RestPose, Units, export_reference, export_selection
 from pasdedeux.verdict import Level
 from storage_schema import parse_reference
 from tasks.data import LOOK, Data, player_page
@@ -35,6 +35,10 @@ def export(
     body_model: Annotated[
         Path | None, Option(metavar="FILE", help="Of smpl: the body model that parameters are for.")
     ] = None,
+    rate: Annotated[Rate, Option(help="Of motion of poses and variants: the study's, or the source's.")] = "study",
+    all_methods: Annotated[
+        bool, Option("--all-methods", help="Of files of motions and lifted_pairs: every method, not the best alone.")
+    ] = False,
     curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
     store: StoreOption = Path("store"),
 ) -> None:
@@ -60,6 +64,7 @@ def export(
       pasdedeux export draws:duets --select 500 --out selected      # the most different of its pairs
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
+    options |= {"all_methods": True} if all_methods else {}
     options |= {} if footage is None else {"footage": footage}
     options |= {} if body_model is None else {"body_model": body_model}
     if select is not None:
@@ -68,7 +73,7 @@ def export(
         return
     opened = open_store(store)
     written = export_reference(
-        opened, reference, file_format, out, rest_pose=rest_pose, units=units, curation=curation, **options
+        opened, reference, file_format, out, rest_pose=rest_pose, units=units, rate=rate, curation=curation, **options
     )
     say(map(str, written))
     data = Data(opened, curation)

@@ -14,7 +14,7 @@ from typing import Any
 
 from flows.exports.contact_rows import CONTACTS, contact_rows, touching
 from flows.exports.credits import write_credits
-from flows.exports.export_format import Export, ExportFormat, RestPose, Units
+from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat, Rate, RestPose, Units
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
 from storage_schema.encoding import encode
@@ -25,6 +25,7 @@ __all__ = [
     "EXPORT_FORMATS",
     "Export",
     "ExportFormat",
+    "Rate",
     "RestPose",
     "Units",
     "export_format",
@@ -70,16 +71,17 @@ def export_reference(
     *,
     rest_pose: RestPose = "source",
     units: Units = "cm",
+    rate: Rate = "study",
     curation: Path | None = None,
     **options: Any,
 ) -> list[Path]:
     """Write the rows of a reference into a folder, and return the files, the credits last.
 
     What somebody rejected is left out: as this file of choices says, else as the study or dataset does.  `options` are
-    those that some formats heed, by their names in `Export`: verdict, footage, body_model.
+    those that some formats heed, by their names in `Export`: verdict, all_methods, footage, body_model.
 
     Raises:
-        InputError: The format is not known, cannot hold what is named, or has no rest pose or unit to choose.
+        InputError: The format is not known, cannot hold what is named, or has no rest pose, unit or rate to choose.
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
@@ -89,7 +91,7 @@ def export_reference(
         refs, options = touching(store, reference), options | {"make_rows": contact_rows}
     else:
         refs = tuple(resolve(reference, store))
-    export = Export(store, text, reference, refs, rest_pose, units, choices=choices, **options)
+    export = Export(store, text, reference, refs, rest_pose, units, rate=rate, choices=choices, **options)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
     is_own = kind.has_rest_pose and reference.table in _OWN_SKELETON_TABLES
@@ -97,6 +99,11 @@ def export_reference(
         tables = " and ".join(_OWN_SKELETON_TABLES)
         raise InputError(
             f"rest pose and units can be chosen for BVH files of {tables}, the rest pose for GLB files, too, not for "
+            f"'{text}' as {file_format.upper()}"
+        )
+    if rate != "study" and not (kind.options >= POSED_OPTIONS and reference.table in _OWN_SKELETON_TABLES):
+        raise InputError(
+            f"the rate can be chosen for files of motion of {' and '.join(_OWN_SKELETON_TABLES)}, not for "
             f"'{text}' as {file_format.upper()}"
         )
     return _written(export, kind, out)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import POSED, Cast, casts, holds_poses
-from flows.exports.export_format import VERDICT, Export, ExportFormat
+from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat
 from pasdedeux.formats.c3d import write_c3d
 
 
@@ -27,4 +27,4 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     return files.close()
 
 
-FORMAT = ExportFormat(_write, holds_poses, POSED, options=VERDICT)
+FORMAT = ExportFormat(_write, holds_poses, POSED, options=POSED_OPTIONS)

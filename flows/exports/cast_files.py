@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from flows.exports.casts import Cast
+from flows.exports.casts import NAMES, Cast
 from flows.exports.export_format import Export, FileNames, write_text, write_units
 from pasdedeux.plain_text import csv_line
 
@@ -29,17 +29,18 @@ class CastFiles:
         """Return whether a cast is worse than the requested verdict."""
         return cast.level.rank > self._export.verdict.rank
 
-    def path(self, cast: Cast, *more: str, suffix: str, said: str = "") -> Path:
-        """Return a path for a cast, or for what `more` names of it, of which something else may have to be said."""
-        path = self._names.path(*cast.parts, *more, suffix=suffix, is_apart=self.is_apart(cast))
+    def path(self, cast: Cast, *, suffix: str, who: str = "", said: str = "") -> Path:
+        """Return a path for a cast, or for one person of it, of whom something else may have to be said."""
+        path = self._names.path(*cast.name_parts, suffix=suffix, who=who, is_apart=self.is_apart(cast))
         self._lines[str(path.relative_to(self._out))] = f"{cast.in_words()}; {said}" if said else cast.in_words()
         self._paths.append(path)
-        if len(cast.labels) > 1 and "B" not in more:
-            index = self._names.path(*cast.parts, "frames", suffix=".csv", is_apart=self.is_apart(cast))
+        if len(cast.labels) > 1 and who in ("", "A"):
+            index = self._names.path(*cast.name_parts, "frames", suffix=".csv", is_apart=self.is_apart(cast))
             rows = (f"{csv_line(frame, label)}\n" for frame, label in enumerate(cast.labels))
             self._paths.append(write_text(index, "frame,reference\n" + "".join(rows)))
         return path
 
     def close(self) -> list[Path]:
         """Write what someone who finds the files has to know, and return all files."""
-        return [*self._paths, write_units(self._out, self._said, self._lines)] if self._paths else []
+        said = [*self._said, NAMES[self._export.reference.table]]
+        return [*self._paths, write_units(self._out, said, self._lines)] if self._paths else []

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, RestPose
-from flows.exports.own_skeletons import TakePerson, people_of_take, rig_of
+from flows.exports.own_skeletons import TAKE_NAMES, TakePerson, people_of_take, rate_in_words, rig_of
 from pasdedeux.arrays import Array
 from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton
@@ -23,6 +23,7 @@ from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.body import body_from_joints, motions_together
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID
@@ -32,6 +33,7 @@ from storage_schema.references import find_rows
 from tasks.curation import IDENTITY, rows_without
 from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
 from tasks.judgements import verdict_of
+from tasks.products import PRODUCT_COLUMNS, PRODUCTS, method_name, product_rows
 from tasks.takes import read_motion, read_variants, take_of
 
 MOVING = ("poses", "variants", "motions")
@@ -48,6 +50,18 @@ ANNOTATED = ("motions", "lifted_pairs", "in_betweens")
 """Tables of what was made from annotations."""
 POSED = f"whole {', '.join(MOVING)}; rows of {', '.join(name for name in _KEYS if name != 'selected_pairs')}"
 """What holds poses, in words."""
+_WHO = "the end of a name is the person, A or B"
+NAMES = {
+    "poses": TAKE_NAMES,
+    "variants": TAKE_NAMES,
+    "motions": f"Files are named by the video, and by the method where all were asked for; {_WHO}.",
+    "draws": f"Files are named by density, seed and chain; {_WHO}.",
+    "seeds": f"Files are named by the seed; {_WHO}.",
+    "lifted_pairs": f"Files are named by sequence and people, and by the method where all were asked for; {_WHO}.",
+    "in_betweens": f"Files are named by sequence, people and method; {_WHO}.",
+    "selected_pairs": f"Files are named by the verdict; {_WHO}.",
+}
+"""What the names of files mean, by table."""
 WORLD = "right-handed, Y up"
 CAMERA = "right-handed, x right, y up, z towards the camera"
 _HUMANOID_MAP = BodyMap(
@@ -106,6 +120,7 @@ class Cast:
         skeleton: Skeleton of the positions.
         positions_m: Positions (frame, person, J, 3), metres.
         rate_hz: Frames per second.
+        source_rate_hz: Those of the file that it came from; 0 where that is not known.
         level: Verdict on it.
         axes: Its axes.
         said: What else must be known.
@@ -125,7 +140,13 @@ class Cast:
     labels: Sequence[str] = ()
     seen: SeenCast | None = None
     ref: ArtifactRef | None = None
+    source_rate_hz: float = 0.0
     make_rigs: Callable[[RestPose], list[Rig]] | None = field(default=None, repr=False)
+
+    @property
+    def name_parts(self) -> tuple[str, ...]:
+        """Return the parts of its files' names: a body scaled as a whole needs no word for that."""
+        return tuple(str(part).replace("-uniform-", "-") for part in self.parts)
 
     @property
     def letters(self) -> list[str]:
@@ -151,7 +172,7 @@ class Cast:
         """Say what someone who finds a file of it has to know."""
         count = len(self.positions_m)
         apart = f"{count} frames, which do not follow each other in time"
-        words = apart if self.labels else f"{count} frames at {self.rate_hz:.6g} Hz"
+        words = apart if self.labels else f"{count} frames at {rate_in_words(self.rate_hz, self.source_rate_hz)}"
         return "; ".join(filter(None, (words, f"axes: {self.axes}", self.said)))
 
 
@@ -185,17 +206,21 @@ def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np
 def _take(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     store = export.store
     facts = TakeFacts.of(store.manifest(ref))
+    source_hz = float(store.read(ref, "takes", columns=["source_rate_hz"])["source_rate_hz"].max())
+    rate_hz = _rate_hz(export, facts.rate_hz, source_hz)
+    positions = read_motion(store, ref, "body22_m")["body22_m"]
 
     def rigs(rest_pose: RestPose) -> list[Rig]:
-        return [_own_rig(person, person.own, None, rest_pose) for person in people_of_take(store, ref)]
+        return [_own_rig(person, person.own, None, rest_pose, rate_hz) for person in people_of_take(store, ref)]
 
     yield Cast(
         (facts.take_id,),
         BODY22,
-        read_motion(store, ref, "body22_m")["body22_m"],
-        facts.rate_hz,
+        resample_positions(positions, from_hz=facts.rate_hz, to_hz=rate_hz),
+        rate_hz,
         _level(store, ref),
         ref=ref,
+        source_rate_hz=source_hz,
         make_rigs=rigs,
     )
 
@@ -206,25 +231,39 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     take_id = VariantFacts.of(store.manifest(ref)).take_id
     quality = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
     motions = read_variants(store, ref)
+    own_hz, source_hz = people[0].own.motion.rate_hz, max(person.source_rate_hz for person in people)
+    rate_hz = _rate_hz(export, own_hz, source_hz)
     for name, scale, verdict, motion in zip(*(quality[figure] for figure in quality), motions, strict=True):
         positions = motion.astype(np.float64)
 
         def rigs(rest_pose: RestPose, positions_m: Array = positions, scales: Array = scale) -> list[Rig]:
             scaled = zip(people, np.moveaxis(positions_m, 1, 0), scales.reshape(len(people), -1), strict=True)
-            return [_own_rig(person, person.own.retargeted(to_m, by), to_m, rest_pose) for person, to_m, by in scaled]
+            return [
+                _own_rig(person, person.own.retargeted(to_m, by), to_m, rest_pose, rate_hz)
+                for person, to_m, by in scaled
+            ]
 
         yield Cast(
             (take_id, str(name)),
             BODY22,
-            positions,
-            people[0].own.motion.rate_hz,
+            resample_positions(positions, from_hz=own_hz, to_hz=rate_hz),
+            rate_hz,
             Level(verdict),
             ref=ref,
+            source_rate_hz=source_hz,
             make_rigs=rigs,
         )
 
 
-def _own_rig(person: TakePerson, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose) -> Rig:
+def _rate_hz(export: Export, study_hz: float, source_hz: float) -> float:
+    return source_hz if export.rate == "source" and source_hz else study_hz
+
+
+def _own_rig(person: TakePerson, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose, rate_hz: float) -> Rig:
+    """Return a person on the source's own skeleton, at this rate; `wanted_m` (frame, 22, 3) is at that of `own`."""
+    if wanted_m is not None:
+        wanted_m = resample_positions(wanted_m, from_hz=own.motion.rate_hz, to_hz=rate_hz)
+    own = replace(own, motion=own.motion.resample(rate_hz))
     drawn = rig_of(own, rest_pose)
     lengths = np.median(bone_lengths(BODY22, own.body.of(own.motion)), axis=0)
     height_m = float(body_height_m(BODY22, lengths))
@@ -235,6 +274,8 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     """Yield the people of each video and method, upright on one floor; what lies between rejected clips each apart."""
     store = export.store
     rows = store.read(ref, "motions")
+    if not export.all_methods:
+        rows = TableData(rows.table, rows.rows.take(product_rows(rows)))
     # From the axes of a camera that looks down to a world in which people stand upright.
     camera = DatabaseCamera(math.radians(MotionFacts.of(store.manifest(ref)).pitch_deg))
     for (sequence_id, method), part, *clip in _kept_parts(rows, export.left_out):
@@ -261,12 +302,13 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
             f"{letter} is person {person_id}" for letter, person_id in zip(person_names(len(ids)), ids, strict=True)
         )
         yield Cast(
-            (sequence_id, method, *clip),
+            (sequence_id, *([method_name("motions", method)] if export.all_methods else []), *clip),
             BODY22,
             positions,
             rate_hz,
             _level(store, ref),
-            said=f"{who} of the sequence; the first is frame {first} of the video; floor at y = 0, +Z to the camera",
+            said=f"method: {method}; {who} of the sequence; the first is frame {first} of the video; "
+            "floor at y = 0, +Z to the camera",
             seen=SeenCast(sequence_id, tuple(ids), range(first, first + len(positions)), OP14, seen_m, is_pair=False),
             ref=ref,
             make_rigs=rigs,
@@ -291,9 +333,11 @@ def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[An
 def _pairs(export: Export) -> Iterator[Cast]:
     """Yield pairs of one moment: those of one chain, sequence or set of seeds are frames of one cast."""
     table, row = export.reference.table, export.reference.row
+    is_named = export.all_methods or table not in PRODUCTS
+    keys = [name for name in _KEYS[table] if name != "method" or is_named]
     found: dict[tuple[Any, ...], list[tuple[ArtifactRef | None, TableData, np.ndarray, Sequence[str]]]] = {}
     for ref, rows, labels in _rows_of_pairs(export):
-        for key, part in groups(rows, *_KEYS[table]):
+        for key, part in groups(rows, *keys):
             found.setdefault(key, []).append((ref, rows, part, [labels[at] for at in part]))
     if table in ANNOTATED and row is None:  # stills, each a sequence of its own
         for key in [key for key, parts in found.items() if sum(len(part) for _, _, part, _ in parts) == 1]:
@@ -341,10 +385,14 @@ def _rows_of_pairs(export: Export) -> Iterator[tuple[ArtifactRef | None, TableDa
         yield None, export.selected, [str(reference) for reference in export.selected["reference"]]
         return
     frames = ["frame"] if table in ANNOTATED else []
-    columns = dict.fromkeys([*_KEYS[table], *IDENTITY[table], "pair17_m", *frames])
+    is_chosen = table in PRODUCTS and not export.all_methods and export.reference.row is None
+    columns = dict.fromkeys(
+        [*_KEYS[table], *IDENTITY[table], "pair17_m", *frames, *(PRODUCT_COLUMNS[table] if is_chosen else ())]
+    )
     for ref, rows in find_rows(export.reference, export.store):
         read = export.store.read(ref, table, columns=list(columns), rows=rows)
         kept = rows_without(read, export.left_out)
+        kept = np.intersect1d(kept, product_rows(read)) if is_chosen else kept
         yield ref, TableData(read.table, read.rows.take(kept)), [f"{table}@{ref.key}#{rows.start + at}" for at in kept]
 
 

@@ -72,10 +72,10 @@ def _content(rows: TableData, part: np.ndarray, layout: str) -> dict[str, list[d
                 "iscrowd": 0,
             }
         )
-    category = {"id": 1, "name": "person", "supercategory": "person", "skeleton": []}
-    names = list(KEYPOINT_LAYOUTS[layout].keypoint_names)
+    category = {"id": 1, "name": "person", "supercategory": "person"}
+    own = KEYPOINT_LAYOUTS[layout]
     return {
         "images": list(images.values()),
         "annotations": annotations,
-        "categories": [category | {"keypoints": names}],
+        "categories": [category | {"keypoints": list(own.keypoint_names), "skeleton": own.links(first=1)}],
     }

@@ -1,4 +1,4 @@
-"""Any table as CSV: a line for each row."""
+"""Any table as CSV: a line for each row, and a list of its columns."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from flows.exports.export_format import Export, ExportFormat, FileNames
-from pasdedeux.plain_text import cell_text
+from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
+from pasdedeux.plain_text import cell_text, csv_line
 from pasdedeux.skeletons.working import WORKING_SKELETONS
 from storage_schema import TABLES, TableData
 from storage_schema.columns import Column
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write a table: a fixed array as a column for each number, named by its axes; one of varying length as JSON."""
-    path = FileNames(out).path(export.reference.table, suffix=".csv")
+    """Write a table: a fixed array as a column for each number, named by its axes; one of varying length as JSON.
+
+    `<table>_columns.csv` has a line for each of the table's columns: unit, axes and meaning.
+    """
+    names = FileNames(out)
+    path, listed = (names.path(export.reference.table, *end, suffix=".csv") for end in ((), ("columns",)))
     columns = TABLES[export.reference.table].columns
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -29,7 +33,8 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
             cells = [_cells(column, batch) for column in columns]
             for index in range(batch.num_rows):
                 writer.writerow([cell for column in cells for cell in column[index]])
-    return [path]
+    told = (csv_line(column.name, column.unit, " ".join(column.axes), column.meaning) for column in columns)
+    return [path, write_text(listed, "\n".join(["column,unit,axes,meaning", *told]) + "\n")]
 
 
 FORMAT = ExportFormat(_write)

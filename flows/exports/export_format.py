@@ -19,7 +19,9 @@ from tasks.curation import names_left_out, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
-VERDICT = frozenset({"verdict"})
+Rate = Literal["study", "source"]
+POSED_OPTIONS = frozenset({"verdict", "all_methods"})
+"""Options of every format of poses."""
 NOT_GOOD = "not_good"
 """Folder of what has a worse verdict than is asked for."""
 
@@ -36,7 +38,9 @@ class Export:
         rest_pose: Rest pose of the skeletons of takes and variants: the source's, or a standing T-pose.
         units: Lengths of their BVH files: centimetres, metres, or the units of each source's file.
         selected: Rows that were made of what is named, and are given out in its place.
+        rate: Rate of takes and variants: the study's, or that of each take's source.
         verdict: The worst level of what lies in the folder itself; what is worse lies in a folder of its own.
+        all_methods: The results of every method that lifts or reconstructs, baselines too, in place of the product.
         footage: Video that results are drawn on; None for blank frames.
         body_model: Body model that parameters are written for.
         sources: Licences and credits of what is named.
@@ -51,7 +55,9 @@ class Export:
     rest_pose: RestPose = "source"
     units: Units = "cm"
     selected: TableData | None = None
+    rate: Rate = "study"
     verdict: Level = Level.FAIL
+    all_methods: bool = False
     footage: Path | None = None
     body_model: Path | None = None
     sources: tuple[SourceCredit, ...] = ()
@@ -88,7 +94,7 @@ class ExportFormat:
         can_write: Tells whether it can hold the rows of a reference.
         writes: What it can write, in words, after "allowed are".
         has_rest_pose: Whether it writes skeletons, so that their rest pose and units can be chosen.
-        options: Further options of an export that it heeds: verdict, footage, body_model.
+        options: Further options of an export that it heeds: verdict, all_methods, footage, body_model.
     """
 
     write: Callable[[Export, Path], Iterable[Path]]
@@ -109,10 +115,10 @@ class FileNames:
         self._folder = folder
         self._times = Counter[str]()
 
-    def path(self, *parts: str | int, suffix: str, is_apart: bool = False) -> Path:
+    def path(self, *parts: str | int, suffix: str, who: str = "", is_apart: bool = False) -> Path:
         """Return a path, with a number where it was given before: take a_b, variant c and take a, variant b_c.
 
-        What is not as good as was asked for lies apart.
+        What is not as good as was asked for lies apart.  `who` is the person that a file is of, after a dot.
 
         Raises:
             InputError: A part, which may come from rows that somebody else wrote, is no plain name.
@@ -123,7 +129,7 @@ class FileNames:
                     f"{json.dumps(part)[:80]} is to be part of a file's name: up to 200 letters, digits, '.', '_' and "
                     "'-' are allowed; what was to be exported names a take, sequence, variant or model so"
                 )
-        name = "_".join(map(str, parts))
+        name = "_".join(map(str, parts)) + (f".{who}" if who else "")
         self._times[name] += 1
         number = f".{self._times[name]}" if self._times[name] > 1 else ""
         folder = self._folder / NOT_GOOD if is_apart else self._folder

@@ -9,7 +9,7 @@ import numpy as np
 
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import POSED, Rig, casts, holds_poses
-from flows.exports.export_format import VERDICT, Export, ExportFormat
+from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat
 from pasdedeux.bodies import body_of, standing_motion
 from pasdedeux.formats.glb import GlbPerson, Skin, write_glb
 from pasdedeux.kinematics.rotations import identity_unitquat
@@ -49,4 +49,4 @@ def _person(name: str, rig: Rig) -> GlbPerson:
     return GlbPerson(name, motion, skin, rig.positions_m)
 
 
-FORMAT = ExportFormat(_write, holds_poses, POSED, has_rest_pose=True, options=VERDICT)
+FORMAT = ExportFormat(_write, holds_poses, POSED, has_rest_pose=True, options=POSED_OPTIONS)

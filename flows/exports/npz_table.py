@@ -1,4 +1,4 @@
-"""Any table as an npz archive: an array for each column."""
+"""Any table as an npz archive: an array for each column, with joints, parents and units."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames
+from pasdedeux.skeletons.working import WORKING_SKELETONS
 from storage_schema import TABLES
 from storage_schema.table_data import concatenate
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write every column as an array; one of varying length as its values end to end and the rows' offsets."""
+    """Write every column as an array; one of varying length as its values end to end and the rows' offsets.
+
+    `<column>_unit` is a column's unit, `<skeleton>_joint_names` and `<skeleton>_parents` (-1 for the root) its joints.
+    """
     rows = concatenate(TABLES[export.reference.table], export.batches())
     arrays: dict[str, Any] = {}
     for name in rows.column_names:
@@ -28,6 +32,13 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
             arrays[name] = np.array(["" if value is None else value for value in values], dtype=np.str_)
         else:
             arrays[name] = values
+    for column in rows.table.columns:
+        if column.unit:
+            arrays[f"{column.name}_unit"] = np.array(column.unit)
+        if column.joints in WORKING_SKELETONS:
+            skeleton = WORKING_SKELETONS[column.joints]
+            arrays[f"{column.joints}_joint_names"] = np.array(skeleton.joint_names)
+            arrays[f"{column.joints}_parents"] = np.array(skeleton.parents)
     path = FileNames(out).path(export.reference.table, suffix=".npz")
     np.savez_compressed(path, **arrays)
     return [path]

@@ -10,7 +10,7 @@ import numpy as np
 
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import ANNOTATED, Cast, SeenCast, casts, holds_poses
-from flows.exports.export_format import VERDICT, Export, ExportFormat, write_film
+from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat, write_film
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError, named
 from pasdedeux.evaluation.pictures import COLOUR_NAMES, PERSON_COLOURS, rgb
@@ -49,7 +49,7 @@ FORMAT = ExportFormat(
     _write,
     lambda reference: reference.table in ANNOTATED and holds_poses(reference),
     ", ".join(ANNOTATED),
-    options=VERDICT | {"footage"},
+    options=POSED_OPTIONS | {"footage"},
 )
 
 

@@ -20,7 +20,14 @@ from storage_schema import ArtifactRef, Store
 
 _POSED = {"source": "that of the source's file", "standing": "a standing T-pose"}
 _AXES = "right-handed, Y up"
+TAKE_NAMES = (
+    "Files of takes are named TAKE, of variants TAKE_VARIANT: in `waltz_A-0.75` person A of the take waltz has 0.75 of "
+    "the size, in `waltz_B-legs-1.10` the legs of B have 1.10 of their length. The end is whose motion it is: "
+    "`waltz_A-0.75.B`."
+)
+"""What the names of files mean."""
 _SAID = (
+    TAKE_NAMES,
     "BVH files are in the unit said below and degrees, npz files in metres and unit quaternions (x, y, z, w).",
     f"Axes: {_AXES}; in a standing T-pose people face +Z, the left side on +X, arms out along X.",
     "Joints have the names of the source; `_end` are End Sites, added where the source has none.",
@@ -39,6 +46,7 @@ class TakePerson:
         metres_per_unit: Length of one unit of the source's file.
         layout: Name of the layout of its joints.
         up_axis: Axis that points up in the source's file.
+        source_rate_hz: Frames per second of the source's file; 0 where that is not known.
     """
 
     take_id: str
@@ -47,6 +55,7 @@ class TakePerson:
     metres_per_unit: float
     layout: str
     up_axis: str = "y"
+    source_rate_hz: float = 0.0
 
 
 def people_of_take(store: Store, ref: ArtifactRef) -> list[TakePerson]:
@@ -75,8 +84,20 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[TakePerson]:
         letter = person_name(int(take["person"]))
         skeleton = OwnSkeleton(motion, body)
         unit, layout, up_axis = float(take["metres_per_unit"]), str(take["layout"]), str(take["up_axis"])
-        people.append(TakePerson(str(take["take_id"]), letter, skeleton, unit, layout, up_axis))
+        rate_hz = float(take["source_rate_hz"])
+        people.append(TakePerson(str(take["take_id"]), letter, skeleton, unit, layout, up_axis, rate_hz))
     return people
+
+
+def rate_in_words(rate_hz: float, source_rate_hz: float) -> str:
+    """Say a rate, and that of the source where it differs.
+
+    >>> rate_in_words(30.0, 120.0), rate_in_words(30.0, 30.0)
+    ('30 Hz (the source: 120 Hz)', '30 Hz')
+    """
+    is_other = source_rate_hz and abs(source_rate_hz - rate_hz) > 1e-3 * rate_hz
+    other = f" (the source: {source_rate_hz:.6g} Hz)" if is_other else ""
+    return f"{rate_hz:.6g} Hz{other}"
 
 
 def rig_of(own: OwnSkeleton, rest_pose: RestPose) -> OwnSkeleton:
@@ -112,17 +133,17 @@ class RigFiles:
         """Write a person's motion as BVH and npz.
 
         Args:
-            parts: Of the name of both files.
+            parts: Of the name of both files, before the person.
             person: Who it is.
             own: The motion.
             wanted_m: body22 of the variant that it plays (frame, 22, 3), metres; none where it is the source.
             is_apart: Whether it lies apart from what is good.
         """
-        path = self._names.path(*parts, suffix=".bvh", is_apart=is_apart)
-        name = path.name.removesuffix(".bvh")
+        path = self._names.path(*parts, suffix=".bvh", who=person.letter, is_apart=is_apart)
         motion = rig_of(own, self._rest_pose).motion
         metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
-        line = f"{motion.num_frames} frames at {motion.rate_hz:.6g} Hz, one unit of the BVH is {metres:.9g} m"
+        rate = rate_in_words(motion.rate_hz, person.source_rate_hz)
+        line = f"{motion.num_frames} frames at {rate}, one unit of the BVH is {metres:.9g} m"
         facts = {
             "rest_pose": self._rest_pose,
             "bvh_metres_per_unit": metres,
@@ -139,7 +160,7 @@ class RigFiles:
             f"{line}; the rest pose is {_POSED[self._rest_pose]}"
         )
         text = write_bvh(motion, units_per_metre=1.0 / metres, decimals=8)
-        self._paths += [write_text(path, text), path.with_name(f"{name}.npz")]
+        self._paths += [write_text(path, text), path.with_suffix(".npz")]
         axes = f"{_AXES}; the rest pose is {_POSED[self._rest_pose]}"
         self._paths[-1].write_bytes(write_motion_npz(motion, axes=axes, **facts))
 
@@ -149,7 +170,7 @@ class RigFiles:
         """Write a variant's motion (frame, P, 22, 3), metres, with scales (P, 22), on the skeletons of its people."""
         for person, wanted_m, scale in zip(people, np.moveaxis(motion_m, 1, 0), bone_scale, strict=True):
             retargeted = person.own.retargeted(wanted_m, scale)
-            self.write((person.take_id, variant_id, person.letter), person, retargeted, wanted_m)
+            self.write((person.take_id, variant_id), person, retargeted, wanted_m)
 
     def close(self) -> Sequence[Path]:
         """Write what someone who finds the files has to know, and return all files."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import MOVING, Cast, Rig, casts, holds_poses
-from flows.exports.export_format import VERDICT, Export, ExportFormat
+from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.own_skeleton import standing
 from pasdedeux.formats.smpl import BODY, BodyModel, SmplMotion, read_body_model, smpl_of_body22, smpl_of_motion
@@ -31,7 +31,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
         for letter, rig, positions_m in people:
             found, axis = _fitted(model, rig, positions_m)
             turned = replace(cast, axes=f"right-handed, {axis.upper()} up")
-            path = files.path(turned, letter, suffix=".npz", said=_misfit_in_words(found))
+            path = files.path(turned, suffix=".npz", who=letter, said=_misfit_in_words(found))
             path.write_bytes(_npz(export, cast, found, model, axis))
     return files.close()
 
@@ -40,7 +40,7 @@ FORMAT = ExportFormat(
     _write,
     lambda reference: reference.table in MOVING and holds_poses(reference),
     f"whole {', '.join(MOVING)}",
-    options=VERDICT | {"body_model"},
+    options=POSED_OPTIONS | {"body_model"},
 )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from flows.exports.c3d_markers import labels_of
 from flows.exports.cast_files import CastFiles
 from flows.exports.casts import POSED, casts, holds_poses
-from flows.exports.export_format import VERDICT, Export, ExportFormat, write_text
+from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat, write_text
 from pasdedeux.formats.trc import write_trc
 
 
@@ -22,4 +22,4 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     return files.close()
 
 
-FORMAT = ExportFormat(_write, holds_poses, POSED, options=VERDICT)
+FORMAT = ExportFormat(_write, holds_poses, POSED, options=POSED_OPTIONS)

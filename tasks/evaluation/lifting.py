@@ -46,11 +46,12 @@ from tasks.draw_sets import GROWN, draw_manifests, knows_annotations, read_all_d
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
 from tasks.facts import LiftedFacts, SequenceFacts
+from tasks.products import BASELINES
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
 from tasks.takes import takes_of
 
-_BASELINES = ("mean_pair", "lifting", "lifting_ik", "naive_sampling", "straight", "nearest_draw")
+_BASELINES = (*BASELINES["lifted_pairs"], *BASELINES["in_betweens"], "nearest_draw")
 _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
 """What is judged beside the lifted pairs."""
 _GAPS = (10, 20, 30)

@@ -25,6 +25,7 @@ from pasdedeux.reconstruction.errors import (
 )
 from pasdedeux.reconstruction.film_alignment import FilmAlignment, align_film
 from storage_schema import ArtifactRef, Store, TableData
+from tasks import products
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
@@ -33,7 +34,7 @@ from tasks.shown_motions import ShownMotion, read_motion_rows, read_shown_motion
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.takes import rate_of
 
-BASELINES = ("nearest", LEVEL, "standing_still", "truth", "equal_depth")
+BASELINES = (*products.BASELINES["motions"], LEVEL, "standing_still", "truth", "equal_depth")
 """Methods that others are compared with, bounds among them."""
 
 
@@ -307,7 +308,7 @@ TOPIC = Topic(
             "mean joint error",
             "m",
             "poses",
-            ("fit_clean", "fit", "viterbi_clean", "viterbi", "window_clean", "window"),
+            products.PRODUCTS["motions"],
         ),
     ),
     has_means_first=True,

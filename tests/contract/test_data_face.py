@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import pickle
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from PIL import Image
 
 from flows.exports import export_reference
 from pasdedeux.augmentation import UserContact
+from pasdedeux.data import Data, PairDataset
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.motion_players import MAX_LINKS, links_of
 from pasdedeux.skeletons import BODY22
@@ -23,14 +27,13 @@ from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, op
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
-from tasks.data import Data
 from tasks.facts import TakeFacts
 from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs
-from tasks.windows import PairDataset
 from tests.builders.ingest_runs import planned, run
 from tests.builders.pages import Page, in_browser
 from tests.builders.storage_rows import commit_rows
+from tests.builders.toy_runs import ROOT
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -229,3 +232,20 @@ def test_the_moving_picture_is_small_whole_and_always_the_same(store: Store) -> 
     for half in (pixels[:, :360], pixels[:, 360:]):
         is_green = (half[..., 1] > half[..., 0] + 60) & (half[..., 1] > half[..., 2] + 30)
         assert is_green.sum() > 10, "contacts are marked"
+
+
+def test_a_folder_called_tasks_that_hides_ours_is_named(tmp_path: Path) -> None:
+    (tmp_path / "tasks").mkdir()
+    (tmp_path / "tasks" / "__init__.py").touch()
+    script = "import sys; sys.path.insert(0, '.'); from pasdedeux.data import Data"
+    found = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.stderr.splitlines()[-1] == (
+        f"ImportError: the folder {tmp_path / 'tasks'} hides `tasks` of pasdedeux: rename it, or start Python elsewhere"
+    )

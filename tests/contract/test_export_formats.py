@@ -120,13 +120,23 @@ def check_npz(paths: list[Path], text: str, store: Store) -> None:
         for name in arrays:
             if name.endswith("_m") and f"{name}_offsets" not in arrays:
                 np.testing.assert_array_equal(arrays[name], rows[name])
+        for column in rows.table.columns:
+            assert not column.unit or str(arrays[f"{column.name}_unit"]) == column.unit
+            if column.joints:
+                skeleton = WORKING_SKELETONS[column.joints]
+                assert tuple(arrays[f"{column.joints}_joint_names"]) == skeleton.joint_names
+                assert tuple(arrays[f"{column.joints}_parents"]) == skeleton.parents
 
 
 def check_csv(paths: list[Path], text: str, store: Store) -> None:
     rows = open_table(text, store)
-    (path,) = paths
+    path, listed = paths
     with path.open(newline="", encoding="utf-8") as file:
         header, *lines = csv.reader(file)
+    with listed.open(newline="", encoding="utf-8") as file:
+        told = {row["column"]: row for row in csv.DictReader(file)}
+    assert list(told) == list(rows.column_names)
+    assert all(told[column.name]["unit"] == column.unit for column in rows.table.columns)
     assert len(set(header)) == len(header)
     assert list(dict.fromkeys(name.partition(".")[0] for name in header)) == list(rows.column_names)
     assert [len(line) for line in lines] == [len(header)] * rows.num_rows
@@ -151,7 +161,7 @@ def names_in(paths: list[Path], suffix: str) -> list[Path]:
 def check_bvh(paths: list[Path], text: str, store: Store) -> None:
     motions = names_in(paths, ".bvh")
     count = 15 if text.startswith(("poses", "variants")) else NUM_SEEDS if text.startswith("seeds") else NUM_LIFTED
-    assert [path.stem[-2:] for path in motions] == ["_A", "_B"] * (2 if text.startswith("variants") else 1)
+    assert [path.stem[-2:] for path in motions] == [".A", ".B"] * (2 if text.startswith("variants") else 1)
     for path in motions:
         source = read_bvh(path.read_bytes())
         assert source.num_frames == count
@@ -256,7 +266,7 @@ def check_points(found: np.ndarray, text: str, store: Store) -> None:
 
 def check_smpl(paths: list[Path], text: str, store: Store) -> None:
     found = names_in(paths, ".npz")
-    assert [path.stem[-2:] for path in found] == ["_A", "_B"] * (2 if text.startswith("variants") else 1)
+    assert [path.stem[-2:] for path in found] == [".A", ".B"] * (2 if text.startswith("variants") else 1)
     for path in found:
         source = MOTION_FORMATS["smpl"].read(path.read_bytes(), body_model("SMPL"))
         assert source.num_frames == (NUM_LIFTED if text.startswith("motions") else 15)
@@ -268,7 +278,9 @@ def check_coco(paths: list[Path], text: str, store: Store) -> None:
     rows, content = open_table(text, store), json.loads(path.read_text())
     assert "licence: Apache-2.0" in content["info"]["contributor"]
     assert content["licenses"][0]["name"] == "Apache-2.0"
-    assert content["categories"][0]["keypoints"] == list(KEYPOINT_LAYOUTS[rows["layout"][0]].keypoint_names)
+    category, layout = content["categories"][0], KEYPOINT_LAYOUTS[rows["layout"][0]]
+    assert category["keypoints"] == list(layout.keypoint_names)
+    assert category["skeleton"] == [[first + 1, second + 1] for first, second in layout.links()]
     assert [one["num_keypoints"] for one in content["annotations"]] == (rows["pair17_confidence"] > 0).sum(1).tolist()
     kind = ANNOTATION_FORMATS["coco"]
     assert recognise_format(path.read_bytes()) is kind
@@ -490,7 +502,7 @@ def test_an_export_beside_another_keeps_its_credits(store: Store, tmp_path: Path
     export_reference(store, texts["poses"], "npz", tmp_path)
     add_notice(notice, "Motions of a studio.\n")
     assert notice.read_text() == said
-    assert "waltz_A: 15 frames" in (tmp_path / "UNITS.txt").read_text()
+    assert "waltz.A: 15 frames" in (tmp_path / "UNITS.txt").read_text()
 
 
 def test_credits_stay_where_there_is_no_room_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -282,9 +282,9 @@ def test_exported_seeds_and_draws_come_in_again(tmp_path: Path) -> None:
     as_json = export_reference(store, "seeds:edited", "json", out)
     assert [path.name for path in as_json] == ["seed0.json", "seed1.json", "CREDITS.txt"]
     as_bvh = export_reference(store, "seeds:edited#1", "bvh", out)
-    assert [path.name for path in as_bvh] == ["seed1_A.bvh", "seed1_B.bvh", "UNITS.txt", "CREDITS.txt"]
+    assert [path.name for path in as_bvh] == ["seed1.A.bvh", "seed1.B.bvh", "UNITS.txt", "CREDITS.txt"]
     (exact,) = planned(store, SeedFile(path=out / "seed1.json"))
-    (close,) = planned(store, SeedFile(path=out / "seed1_A.bvh", other=out / "seed1_B.bvh"))
+    (close,) = planned(store, SeedFile(path=out / "seed1.A.bvh", other=out / "seed1.B.bvh"))
     np.testing.assert_allclose(store.read(exact.ref, "seeds")["pair17_m"][0], seed[1], atol=1e-12)
     np.testing.assert_allclose(store.read(close.ref, "seeds")["pair17_m"][0], seed[1], atol=2e-6)
     assert exact.facts["takes"] == ["waltz"]

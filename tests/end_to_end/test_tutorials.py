@@ -28,7 +28,7 @@ def test_two_bvh_files_become_files_of_variants(
     assert len(lines) == 6
     for line in lines:
         assert run_command_line(shlex.split(line)[1:]) == 0, line
-    named = re.findall(r"`([\w.-]+_A\.bvh)`", text)
+    named = re.findall(r"`([\w.-]+\.A\.bvh)`", text)
     assert named
     assert [name for name in named if not list((tmp_path / "bvh").rglob(name))] == []
     assert list((tmp_path / "glb").rglob("*.glb"))

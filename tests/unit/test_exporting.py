@@ -20,8 +20,10 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import EmbodiedMotion, body_through, hold_hips, pose_body
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
-from storage_schema import ArtifactRef, Store
+from storage_schema import TABLES, ArtifactRef, Store, TableData
+from storage_schema.encoding import encode
 from tasks.ingest import STAGE, IngestParameters
+from tasks.products import product_rows
 from tasks.stage import StageInputs
 from tests.builders.own_sources import first_frames, write_walk
 from tests.builders.source_samples import bvh_text
@@ -74,7 +76,7 @@ def test_people_of_a_video_have_the_same_frames_and_one_floor(tmp_path: Path) ->
         rows_of(np.arange(3, 11), tall, "walk", 0, "fit"), rows_of(np.arange(6, 11), small, "walk", 1, "fit")
     )
     found = exported(tmp_path, columns, {"pitch_deg": 0.0})
-    first, second = found["walk_fit_A"], found["walk_fit_B"]
+    first, second = found["walk.A"], found["walk.B"]
     assert (first.num_frames, second.num_frames) == (8, 8)
     rise = np.mean([tall.body.ankle_height_m, small.body.ankle_height_m])
     for motion, body, at in ((first, tall, 0), (second, small, 3)):
@@ -162,7 +164,7 @@ def test_takes_and_variants_of_scale_one_are_the_source_itself(
     export_reference(store, f"poses@{ref.key}", "bvh", tmp_path / "take")
     export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "variant")
     for letter, source in zip("AB", sources, strict=True):
-        for path in (tmp_path / "take" / f"mix_{letter}.bvh", tmp_path / "variant" / f"mix_same_{letter}.bvh"):
+        for path in (tmp_path / "take" / f"mix.{letter}.bvh", tmp_path / "variant" / f"mix_same.{letter}.bvh"):
             assert_same(read_motion(path), source)
 
 
@@ -175,7 +177,7 @@ def test_a_standing_rest_pose_keeps_positions_and_says_so(
     export_reference(store, text, "bvh", tmp_path / "own", units="source")
     export_reference(store, text, "bvh", tmp_path / "tee", rest_pose="standing", units="m")
     for letter, metres in (("A", 0.01), ("B", 0.0254 / 0.45)):
-        name = f"mix_small_{letter}"
+        name = f"mix_small.{letter}"
         own, tee = (
             read_motion(tmp_path / "own" / f"{name}.bvh", metres),
             read_motion(tmp_path / "tee" / f"{name}.bvh", 1.0),
@@ -189,14 +191,64 @@ def test_a_standing_rest_pose_keeps_positions_and_says_so(
         assert arm[0] > 0.3
         np.testing.assert_allclose(arm[1:], 0.0, atol=1e-5)
     said = (tmp_path / "tee" / "UNITS.txt").read_text()
-    assert "mix_small_A: 12 frames at 30 Hz, one unit of the BVH is 1 m; joints lie within 0.0 mm" in said
+    assert "mix_small.A: 12 frames at 30 Hz, one unit of the BVH is 1 m; joints lie within 0.0 mm" in said
     assert "a standing T-pose" in said
+
+
+def test_variants_leave_at_the_rate_of_the_source_where_that_is_asked_for(
+    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
+) -> None:
+    store, ref, _ = taken
+    read = [store.read(ref, table) for table in ("takes", "poses")]
+    rows, poses = ({name: table[name] for name in table.column_names} for table in read)
+    facts = dict(store.manifest(ref).facts)
+    fast = put(store, "ingest", "fast", {"takes": rows | {"source_rate_hz": [60.0] * 2}, "poses": poses}, facts).ref
+    same = variants_of(store, fast, [("mix", "B-uniform-0.90")], 0.9)
+    export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "study")
+    export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "source", rate="source")
+    own, doubled = (read_bvh((tmp_path / one / "mix_B-0.90.B.bvh").read_bytes()) for one in ("study", "source"))
+    assert (own.num_frames, doubled.num_frames) == (12, 23)
+    assert "mix_B-0.90.B: 23 frames at 60 Hz, one unit" in (tmp_path / "source" / "UNITS.txt").read_text()
+    assert "12 frames at 30 Hz (the source: 60 Hz)" in (tmp_path / "study" / "UNITS.txt").read_text()
+    both = [one.to_motion(metres_per_unit=0.01, rate_hz=hz, up_axis="y") for one, hz in ((own, 30.0), (doubled, 60.0))]
+    np.testing.assert_allclose(both[1].world()[0][::2], both[0].world()[0], atol=1e-5)
+    with pytest.raises(InputError, match="the rate can be chosen for files of motion of poses and variants"):
+        export_reference(store, f"variants@{same.key}", "npz", tmp_path / "no", rate="source")
+
+
+def test_a_motion_leaves_as_the_best_method_made_it_and_by_all_where_that_is_asked_for(tmp_path: Path) -> None:
+    body = body_of_walk(4)
+    methods = ("nearest", "viterbi", "fit", "fit_clean")
+    columns = joined(*(rows_of(np.arange(4), body, "walk", 0, method) for method in methods))
+    store = Store(tmp_path / "store")
+    ref = put(store, "reconstruction", "walk", {"motions": columns}, {"pitch_deg": 0.0}).ref
+    export_reference(store, f"motions@{ref.key}", "bvh", tmp_path / "best")
+    assert [path.name for path in (tmp_path / "best").glob("*.bvh")] == ["walk.A.bvh"]
+    assert "method: fit_clean" in (tmp_path / "best" / "UNITS.txt").read_text()
+    export_reference(store, f"motions@{ref.key}", "bvh", tmp_path / "all", all_methods=True)
+    assert sorted(path.name for path in (tmp_path / "all").glob("*.bvh")) == [
+        f"walk_{one}.A.bvh" for one in ("fit", "fit_clean", "nearest-baseline", "viterbi")
+    ]
+
+
+def test_the_product_of_lifted_pairs_is_the_best_method_of_each_annotation() -> None:
+    made = ["fitted", "mean_pair", "over_time", "fitted", "completed", "fitted", "lifting"]
+    frames = np.array([0, 0, 0, 1, 1, 2, 3])
+    columns = random_columns("lifted_pairs", 7) | {
+        "method": made,
+        "frame": frames,
+        "sequence_id": ["s"] * 7,
+        "person_id": [0] * 7,
+        "partner_id": [1] * 7,
+    }
+    rows = TableData(TABLES["lifted_pairs"], encode(TABLES["lifted_pairs"], columns))
+    assert [made[row] for row in product_rows(rows)] == ["over_time", "completed", "fitted", "lifting"]
 
 
 def test_names_that_join_to_the_same_give_files_of_their_own(tmp_path: Path) -> None:
     names = FileNames(tmp_path)
-    found = [names.path(*parts, suffix=".npz").name for parts in (("a", "b_c", "A"), ("a_b", "c", "A"))]
-    assert found == ["a_b_c_A.npz", "a_b_c_A.2.npz"]
+    found = [names.path(*parts, suffix=".npz", who="A").name for parts in (("a", "b_c"), ("a_b", "c"))]
+    assert found == ["a_b_c.A.npz", "a_b_c.A.2.npz"]
 
 
 def test_names_of_variants_and_sequences_that_lead_elsewhere_are_refused(
@@ -221,8 +273,8 @@ def test_people_of_another_export_keep_what_is_said_of_them(
     small = variants_of(store, ref, [("mix", "smaller")], 0.85)
     for _ in range(2):
         export_reference(store, f"variants@{small.key}", "bvh", tmp_path, rest_pose="standing", units="m")
-    lines = (tmp_path / "UNITS.txt").read_text().splitlines()[4:]
-    assert [line.partition(":")[0] for line in lines] == ["mix_A", "mix_B", "mix_smaller_A", "mix_smaller_B"]
+    lines = (tmp_path / "UNITS.txt").read_text().splitlines()[5:]
+    assert [line.partition(":")[0] for line in lines] == ["mix.A", "mix.B", "mix_smaller.A", "mix_smaller.B"]
     assert [line.rpartition(" is ")[2] for line in lines] == ["that of the source's file"] * 2 + [
         "a standing T-pose"
     ] * 2
@@ -231,7 +283,7 @@ def test_people_of_another_export_keep_what_is_said_of_them(
 def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp_path: Path) -> None:
     camera, whole = DatabaseCamera(float(np.deg2rad(30.0))), body_of_walk(3)
     columns = rows_of(np.arange(3), whole.turned(camera.camera_from_upright_rotmat), "walk", 0, "fit")
-    motion = exported(tmp_path, columns, {"pitch_deg": 30.0})["walk_fit_A"]
+    motion = exported(tmp_path, columns, {"pitch_deg": 30.0})["walk.A"]
     at = [motion.skeleton.joint_names.index(HUMANOID_NAMES[joint]) for joint in BODY22.joint_names]
     soles = whole.motion(30.0).world()[0] + [0.0, whole.body.ankle_height_m, 0.0]
     np.testing.assert_allclose(motion.world()[0][:, at], soles, atol=1e-5)

@@ -161,8 +161,8 @@ def test_the_command_writes_what_is_usable_and_the_same_again(
         if out == "o":
             before = digests(tmp_path / "o")
     assert digests(tmp_path / "o") == before
-    assert {"UNITS.txt", "CREDITS.txt", "waltz_B-paper_cvae-0001_A.bvh"} <= set(before)
-    motion = read_bvh((tmp_path / "p" / "waltz_B-paper_cvae-0001_B.bvh").read_bytes())
+    assert {"UNITS.txt", "CREDITS.txt", "waltz_B-paper_cvae-0001.A.bvh"} <= set(before)
+    motion = read_bvh((tmp_path / "p" / "waltz_B-paper_cvae-0001.B.bvh").read_bytes())
     assert motion.num_frames == 15
 
 

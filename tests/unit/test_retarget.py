@@ -81,11 +81,11 @@ def test_files_become_the_same_people_with_the_bones_of_others(
     )
     said = capsys.readouterr().out
     assert "long.bvh" in said
-    first, second = tmp_path / "a_retarget_A.bvh", tmp_path / "a_retarget_B.bvh"
+    first, second = tmp_path / "a_retarget.A.bvh", tmp_path / "a_retarget.B.bvh"
     np.testing.assert_allclose(lengths_m(first, ELBOWS), lengths_m(files / "a.bvh", ELBOWS), atol=1e-5)
     np.testing.assert_allclose(lengths_m(second, ELBOWS), lengths_m(files / "long.bvh", ELBOWS), atol=1e-4)
     np.testing.assert_allclose(lengths_m(second, KNEES), lengths_m(files / "b.bvh", KNEES), atol=1e-4)
-    assert {path.name for path in tmp_path.iterdir()} >= {"UNITS.txt", "CREDITS.txt", "a_retarget_A.npz", LOOK}
+    assert {path.name for path in tmp_path.iterdir()} >= {"UNITS.txt", "CREDITS.txt", "a_retarget.A.npz", LOOK}
     (scene,) = Page((tmp_path / LOOK).read_text()).scenes
     assert [panel["title"] for panel in scene["panels"]] == ["source", "retarget"]
     assert LOOK in said
@@ -102,9 +102,9 @@ def test_three_files_and_one_take_as_many_bodies(files: Path, tmp_path: Path) ->
     assert run_command_line(["retarget", *three, *bodies, "--out", str(tmp_path / "3")]) == 0
     assert run_command_line(["retarget", three[0], "--to", long, "--out", str(tmp_path / "1")]) == 0
     for path, wanted in (
-        ("3/a_retarget_B", files / "b.bvh"),
-        ("3/a_retarget_C", Path(long)),
-        ("1/a_retarget_A", Path(long)),
+        ("3/a_retarget.B", files / "b.bvh"),
+        ("3/a_retarget.C", Path(long)),
+        ("1/a_retarget.A", Path(long)),
     ):
         np.testing.assert_allclose(lengths_m(tmp_path / f"{path}.bvh", ELBOWS), lengths_m(wanted, ELBOWS), atol=1e-4)
 
@@ -128,9 +128,9 @@ def test_a_take_of_a_store_takes_a_table_and_an_asf(
     (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("A "))
     assert "legs.csv" in row
     leg = BODY22.indices(["left_knee", "left_ankle"])
-    assert lengths_m(tmp_path / "waltz_retarget_A.bvh", leg).sum() == pytest.approx(0.7, abs=2e-3)
+    assert lengths_m(tmp_path / "waltz_retarget.A.bvh", leg).sum() == pytest.approx(0.7, abs=2e-3)
     # As the ASF file was written: 0.42 m from knee to ankle.
-    np.testing.assert_allclose(lengths_m(tmp_path / "waltz_retarget_B.bvh", KNEES), 0.42, atol=5e-3)
+    np.testing.assert_allclose(lengths_m(tmp_path / "waltz_retarget.B.bvh", KNEES), 0.42, atol=5e-3)
 
 
 def test_a_body_that_contradicts_itself_is_warned_of(
@@ -230,7 +230,7 @@ def test_a_trained_model_of_a_store_or_a_file_gives_the_motion_and_what_it_learn
 
     def written_by(model: str) -> tuple[bytes, str]:
         assert run_command_line([*words, "--model", model, "--out", str(tmp_path / "o")]) == 0
-        return (tmp_path / "o" / "waltz_retarget_B.bvh").read_bytes(), capsys.readouterr().err
+        return (tmp_path / "o" / "waltz_retarget.B.bvh").read_bytes(), capsys.readouterr().err
 
     known, said = written_by(f"ridge_scale@models@{of_scales.ref.key[:12]}")
     assert "ridge_scale was trained on take waltz" in said

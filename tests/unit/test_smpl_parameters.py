@@ -66,13 +66,13 @@ def test_a_take_gives_back_the_parameters_that_it_came_with(
     export_reference(store, f"poses@{ref.key}", "smpl", tmp_path, body_model=model)
     said = (tmp_path / "UNITS.txt").read_text()
     for person, letter in enumerate("AB", start=1):
-        found = np.load(tmp_path / f"hug_{letter}.npz")
+        found = np.load(tmp_path / f"hug.{letter}.npz")
         np.testing.assert_allclose(found["betas"], arrays[f"person{person}_betas"], atol=2e-3)
         np.testing.assert_allclose(found["trans"], arrays[f"person{person}_trans"], atol=1e-3)
         np.testing.assert_allclose(found["poses"], arrays[f"person{person}_poses"], atol=1e-4)
         assert found["joint_misfit_m"].max() < 1e-3
         assert (str(found["axes"]), float(found["mocap_framerate"])) == ("right-handed, Z up", 30.0)
-        assert f"hug_{letter}.npz: {NUM_FRAMES} frames at 30 Hz" in said
+        assert f"hug.{letter}.npz: {NUM_FRAMES} frames at 30 Hz" in said
     assert "axes: right-handed, Z up; joints lie within 0.0 mm (95 %)" in said
 
 
@@ -102,7 +102,7 @@ def test_a_variant_leaves_as_parameters_with_the_misfit_of_its_betas(
     facts = {"kind": "variants", "take_id": "hug", "num_persons": 2, "num_frames": NUM_FRAMES}
     made = put(store, "augmentation", "v", tables, facts, (store.manifest(ref),))
     export_reference(store, f"variants@{made.ref.key}", "smpl", tmp_path, body_model=model)
-    small, odd = (tmp_path / f"hug_v_{letter}.npz" for letter in "AB")
+    small, odd = (tmp_path / f"hug_v.{letter}.npz" for letter in "AB")
     np.testing.assert_allclose(body22_of(moved(small, model)), wanted[:, 0], atol=5e-3)
     found = np.load(odd)
     misfit = dict(zip(found["bone"].tolist(), found["bone_misfit_m"].tolist(), strict=True))
@@ -118,7 +118,7 @@ def test_a_take_of_other_files_leaves_as_parameters_too(tmp_path: Path) -> None:
     store, ref = ingested(tmp_path, take)
     model = tmp_path / "body_model.npz"
     export_reference(store, f"poses@{ref.key}", "smpl", tmp_path / "out", body_model=model)
-    path = tmp_path / "out" / "hug_A.npz"
+    path = tmp_path / "out" / "hug.A.npz"
     source = read_smpl(path.read_bytes(), model.read_bytes())
     found = body22_of(source.to_motion(metres_per_unit=1.0, rate_hz=30.0))
     wanted = store.read(ref, "poses")["body22_m"]

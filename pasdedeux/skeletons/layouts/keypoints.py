@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,28 @@ _BALL_OF_FOOT = 0.73
 """Position of the ball between the heel and the tip of the big toe: a usual proportion, not measured here."""
 _EAR_ABOVE_CHIN, _EAR_ABOVE_NECK = 0.4, 0.55
 """Height of ears and nose between the upper neck, or the base of the neck, and the crown: usual proportions, too."""
+
+
+_SIDED = (
+    ("{}_ankle", "{}_knee", "{}_hip", "mid_hip", "pelvis", "belly"),
+    ("{}_wrist", "{}_elbow", "{}_shoulder", "neck"),
+    ("{}_hip", "{}_shoulder"),
+    ("{}_heel", "{}_ankle", "{}_big_toe", "{}_small_toe"),
+    ("{}_ankle", "{}_toe"),
+    ("{}_shoulder", "{}_ear", "{}_eye", "nose"),
+    ("{}_pinky", "{}_wrist", "{}_index"),
+    ("{}_wrist", "{}_thumb"),
+)
+_CHAINS = (
+    *(tuple(name.format(side) for name in chain) for chain in _SIDED for side in ("left", "right")),
+    ("left_hip", "right_hip"),
+    ("left_shoulder", "right_shoulder"),
+    ("pelvis", "spine", "chest", "neck"),
+    ("mid_hip", "neck", "upper_neck", "head", "head_top"),
+    ("neck", "nose"),
+    ("mouth_left", "mouth_right"),
+)
+"""Keypoints that a drawing connects, one after another; those that a layout lacks are passed over."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +82,17 @@ class KeypointLayout:
     def num_keypoints(self) -> int:
         """Number of keypoints."""
         return len(self.keypoint_names)
+
+    def links(self, *, first: int = 0) -> list[list[int]]:
+        """Return pairs of neighbouring keypoints to draw lines between, by their numbers, counted from `first`.
+
+        >>> KEYPOINT_LAYOUTS["op14"].links()[:3]
+        [[10, 9], [9, 8], [8, 1]]
+        """
+        place = {name: at for at, name in enumerate(self.keypoint_names, start=first)}
+        lines = [[one for one in chain if one in place] for chain in _CHAINS]
+        ends = [pair for line in lines for pair in pairwise(line)]
+        return [[place[one] for one in pair] for pair in dict.fromkeys(ends)]
 
     def find_keypoints(self, names: Sequence[str]) -> list[int | None]:
         """Return for each keypoint which of the names is its, None where none is."""

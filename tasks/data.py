@@ -1,4 +1,4 @@
-"""Takes, variants, draws and contacts of a store as objects for Python and notebooks: `from pasdedeux.data import Data`.
+"""Takes, variants, draws and contacts of a store as objects for Python and notebooks (`pasdedeux.data`).
 
 Positions are in metres, Y up, as (frame, person, joint, 3); every object says its joints and its rate, gives numpy and
 pandas, and shows itself in a notebook with the report's player.  It stands here, as this is the lowest package that may

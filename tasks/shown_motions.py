@@ -53,7 +53,8 @@ def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[s
     positions_m = np.full((len(frames), len(persons), 14, 3), np.nan)
     positions_m[rows, columns] = table["op14_m"]
     caption = (
-        f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs that are too "
+        f"{sequence_id}: reconstructed ({in_words(method)}; Yiannakides et al. 2019, fig. 6), "
+        "a colour for each person. Turn it: limbs that are too "
         "short or bent wrongly show from the side."
     )
     return ShownMotion(sequence_id, caption, positions_m, rate_of(table["time_s"]))

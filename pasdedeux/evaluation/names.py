@@ -37,6 +37,21 @@ def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:
     return tuple((base, *found) for base in bases if (found := _known(base)) is not None)
 
 
+def base_name(name: str) -> str:
+    """Return a name without its known endings.
+
+    >>> base_name("cartesian_repaired"), base_name("ic_repaired")
+    ('cartesian', 'ic_repaired')
+    """
+    return _parts(name)[0]
+
+
+@cache
+def known_methods() -> tuple[str, ...]:
+    """Return the names of the methods that have words, in their order, in which those of a topic are neighbours."""
+    return tuple(_WORDS["methods"])
+
+
 def is_bound(method: str) -> bool:
     """Tell whether a method knows the ground truth, so that it is no answer but a bound for answers."""
     return method in _WORDS["bounds"]

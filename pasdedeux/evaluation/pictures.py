@@ -18,6 +18,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.styles import style_of
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 
@@ -26,9 +27,9 @@ if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning 
 
 PLAYER = ".player.json"
 """Ending of what a player shows."""
-PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
+PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#cc79a7", "#b58900", "#3f7f7f")
 """Colours of person A, B, ... in every picture; a sixth person has the first one again."""
-COLOUR_NAMES = ("orange", "blue", "purple", "ochre", "teal")
+COLOUR_NAMES = ("orange", "blue", "pink", "ochre", "teal")
 """What these are called."""
 _TRUTH_COLOUR, LINK_COLOUR, _OBJECT_COLOUR = "#8c8c8c", "#12a150", "#777777"
 _SHADES = {"left_": 0.62, "right_": 1.0}
@@ -164,7 +165,9 @@ def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_l
 def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
     """Draw curves and levels; a level too close above another keeps its line and goes without its name."""
     for name, (x, y) in panel.curves.items():
-        axis.plot(x, y, linestyle="--" if name in panel.baselines else "-", marker=".", label=in_words(name))
+        style = style_of(name)
+        line = {"linestyle": "--" if name in panel.baselines else "-", "color": style.colour}
+        axis.plot(x, y, **line, marker=style.marker, markersize=4, label=in_words(name))
     for level in panel.levels.values():
         axis.axhline(level, color="#999999", linewidth=0.7)
     bottom, top = axis.get_ylim()
@@ -184,8 +187,10 @@ def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, 
     figure, ((axis,),) = new_figure(6.0, 0.9 + 0.28 * len(values))
     for row, (name, value) in enumerate(values.items()):
         is_baseline = name in baselines
-        axis.barh(row, value, color="#c9ced6" if is_baseline else "#1f5fa8", hatch="//" if is_baseline else None)
-        axis.annotate(f"{value:.3g}", (value, row), xytext=(3, 0), textcoords="offset points", fontsize=7, va="center")
+        axis.barh(row, value, color=style_of(name).colour, hatch="//" if is_baseline else None, edgecolor="white")
+        place = {"xytext": (3, 0), "textcoords": "offset points", "fontsize": 7, "va": "center"}
+        paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+        axis.annotate(f"{value:.3g}", (value, row), **place, bbox=paper, zorder=4)
     axis.set_yticks(np.arange(len(values)), list(map(in_words, values)))
     axis.invert_yaxis()
     axis.margins(x=0.12)

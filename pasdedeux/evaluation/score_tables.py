@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pasdedeux.evaluation.names import better_sign, in_words, is_bound, part_in_words
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import Score, weighted_mean
 
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
@@ -131,7 +131,7 @@ def _best(scores: Iterable[Score]) -> set[Score]:
 
 
 def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable | None:
-    """Lay out means over the items of each figure, methods in columns; None where no figure has several items.
+    """Lay out means over the items of each figure, each by its size, in columns by method; None of single items.
 
     Where views of an item have their mean as an item of its own (named with "mean of"), those means are taken, so that
     every item counts once.
@@ -151,7 +151,7 @@ def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False
         for found in own.values():
             # A method that is there for some items only is no mean over all of them.
             if len(found) == count:
-                value = float(np.mean([score.value for score in found]))
+                value = weighted_mean((score.value, score.count) for score in found)
                 plain = replace(found[0], low=float("nan"), high=float("nan"))
                 rows.append(replace(plain, metric=metric, split=split, item=f"mean of {count}", value=value))
     return score_table(rows, caption=caption, has_marks=has_marks) if counts and max(counts) > 1 else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,6 +47,17 @@ class Score:
     count: int = 1
     low: float = float("nan")
     high: float = float("nan")
+
+
+def weighted_mean(values: Iterable[tuple[float, float]]) -> float:
+    """Return the mean of values that each stand for so many things, NaN excluded; NaN of none.
+
+    >>> weighted_mean([(1.0, 3), (5.0, 1)])
+    2.0
+    """
+    known = [(value, count) for value, count in values if math.isfinite(value)]
+    total = sum(count for _, count in known)
+    return math.fsum(value * count for value, count in known) / total if total else math.nan
 
 
 def columns_of(topic: str, scores: Iterable[Score], baselines: Collection[str] = ()) -> dict[str, list[object]]:

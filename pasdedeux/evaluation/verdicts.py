@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.pictures import compared_figure
 from pasdedeux.evaluation.score_tables import format_interval, format_value, shown_as
-from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval
+from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, weighted_mean
 from pasdedeux.verdict import Level, Paired, Verdict
 
 FEWEST_BLOCKS = 10
@@ -98,6 +98,12 @@ def lead_interval(paired: Paired, baseline: str) -> tuple[float, float]:
     )
 
 
+def _means(paired: Paired) -> dict[str, float]:
+    """Return the mean figure of each method; empty where there are no items."""
+    size = sum(paired.sizes)
+    return {name: math.fsum(found) / size for name, found in paired.sums.items()} if size else {}
+
+
 def _sign(paired: Paired) -> float:
     return -1.0 if paired.is_larger_better else 1.0
 
@@ -148,6 +154,10 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     return Verdict(level, reason, figure, *values, count=paired.count, thing=thing, paired=paired)
 
 
+_Places = dict[str, dict[tuple[str, str], float]]
+"""Figures by method, then by part of the data and item."""
+
+
 @dataclass(frozen=True)
 class Criterion:
     """The figure that says whether a topic's result is good; every baseline that was scored has to be beaten.
@@ -190,15 +200,17 @@ class Criterion:
         more = (value, self.unit, self.limit, "allowed")
         return Verdict(level, reason, self.figure, *more, count=paired.count, thing=self.thing)
 
-    def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
+    def picture(self, scores: Iterable[Score], verdict: Verdict | None = None) -> tuple[bytes, str] | None:
         """Draw the mean figure of every method that was scored where the baselines were, best first, as SVG.
+
+        What the verdict compared is drawn with its means; other methods beside it where they have the same items.
 
         The goal, named in the caption, is what has to be beaten: the best baseline, or what is allowed.  Where a part
         is held out, that alone is drawn.  Where no baseline was scored beside others, methods are drawn that were
         scored wherever most were.  Bounds, which know the ground truth, are only in tables.  None where there is
         nothing to compare, as only baselines.
         """
-        found, unit, plain = self._found(scores)
+        found, counts, unit, plain = self._found(scores)
         own = max((set(found[name]) for name in found if name not in plain), key=len, default=set())
         tried = [own.intersection(found[name]) for name in sorted(plain)]
         for shared in (*tried, max(map(set, found.values()), key=len, default=set())):
@@ -211,11 +223,21 @@ class Criterion:
         if plain.issuperset(methods) and not math.isfinite(self.limit):
             return None
         # Sorted: the mean of a set would depend on the order of its hashes.
-        means = {name: float(np.mean([found[name][place] for place in sorted(places)])) for name in methods}
+        means = {
+            name: weighted_mean((found[name][one], counts[name][one]) for one in sorted(places)) for name in methods
+        }
+        paired = None if verdict is None else verdict.paired
+        judged = {} if paired is None else _means(paired)
+        if paired is not None and judged:
+            is_same = all(math.isclose(means.get(one, math.nan), judged[one], rel_tol=1e-6) for one in judged)
+            means = means | judged if is_same else judged
+            plain = plain.union(paired.baselines)
         sign = -1.0 if self.is_larger_better else 1.0
         ranked = sorted(means, key=lambda name: (sign * means[name], name))
         baselines = ((means[one], in_words(one)) for one in ranked if one in plain)
         goal, name = next(baselines, (self.limit, "what is allowed"))
+        if verdict is not None and judged:
+            goal, name = verdict.baseline, verdict.baseline_name
         shown_unit, factor = shown_as(unit)
         drawn = compared_figure(
             {method: factor * means[method] for method in ranked},
@@ -225,11 +247,11 @@ class Criterion:
         )
         better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
         beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
-        mean = f", mean over {len(places)} parts of the data" if len(places) > 1 else ""
+        mean = f", mean over {len(places)} parts of the data, each by its size" if len(places) > 1 else ""
         return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, baselines are hatched{beaten}."
 
-    def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:
-        """Return the figures by method and place without bounds, their unit, and which methods are baselines."""
+    def _found(self, scores: Iterable[Score]) -> tuple[_Places, _Places, str, set[str]]:
+        """Return figures and counts by method and place without bounds, the unit, and which methods are baselines."""
         mine = [
             score
             for score in scores
@@ -237,10 +259,11 @@ class Criterion:
             if not is_bound(score.method)
         ]
         mine = [score for score in mine if score.split == _HELD_OUT] or mine
-        found: dict[str, dict[tuple[str, str], float]] = {}
+        found, counts = _Places(), _Places()
         for score in mine:
             found.setdefault(score.method, {})[score.split, score.item] = score.value
-        return found, mine[-1].unit if mine else "", {score.method for score in mine if score.is_baseline}
+            counts.setdefault(score.method, {})[score.split, score.item] = score.count
+        return found, counts, mine[-1].unit if mine else "", {score.method for score in mine if score.is_baseline}
 
 
 def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:
@@ -285,9 +308,9 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
         worst,
         reason,
         alike[0].figure,
-        _mean((one.value, one.count) for one in alike),
+        weighted_mean((one.value, one.count) for one in alike),
         alike[0].unit,
-        _mean((one.baseline, one.count) for one in alike),
+        weighted_mean((one.baseline, one.count) for one in alike),
         names[0] if len(names) == 1 else "",
         count=sum(one.count for one in alike),
         thing=alike[0].thing,
@@ -324,13 +347,6 @@ def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
         )
         alone.append(compare(whole, same[0].figure, same[0].unit, same[0].thing))
     return alone
-
-
-def _mean(values: Iterable[tuple[float, int]]) -> float:
-    """Return the mean of values that each stand for so many things, NaN excluded."""
-    known = [(value, count) for value, count in values if math.isfinite(value)]
-    total = sum(count for _, count in known)
-    return math.fsum(value * count for value, count in known) / total if total else math.nan
 
 
 @dataclass(frozen=True)

@@ -115,8 +115,8 @@ def _draw(shown: _ShownAugmentation) -> Iterator[Picture]:
     """Show the extremes beside the source, and drift over scale where anything is in contact."""
     take_id = shown.take_id
     caption = (
-        f"{take_id}: the source, its variants of the smallest and greatest size, and that whose contacts moved most; "
-        "contacts of the source are green. Better: green lines stay short."
+        f"{take_id}: the source, its variants of the smallest and greatest size, and that whose contacts moved most "
+        "(Li et al. 2024, fig. 4); contacts of the source are green. Better: green lines stay short."
     )
     yield Picture(f"variants-{take_id}.player.json", caption, variant_player(shown.source, shown.motions_m))
     if np.isfinite(shown.columns["contact_drift_m"]).any():

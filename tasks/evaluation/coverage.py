@@ -25,10 +25,10 @@ from pasdedeux.evaluation.pictures import (
 )
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.evaluation.styles import style_of
 from pasdedeux.interaction.coverage import CoverageCurve, DrawPart, coverage_curve, curve_of_parts, draw_parts
 from pasdedeux.interaction.nearest import PairTable, cartesian_distances, pair_table
 from pasdedeux.interaction.pair_map import PairMap
-from pasdedeux.sampling.densities.density import PRIOR_ONLY
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.draw_sets import GROWN, DrawSet, baselines_of, draw_manifests, is_chain, read_draw_sets
@@ -54,8 +54,6 @@ _NUM_MAPPED = 150
 _MAPPED_SHARES = (0.01, 0.1, 1.0)
 """Shares of the draws on its panels: of 100,000 these are the published 1,000, 10,000 and 100,000."""
 _MAX_DOTS = 400
-_COLOURS = {"ic": "#c2188f", PRIOR_ONLY: "#2a9d3a", GROWN: "#e0861a"}
-_MARKERS = ("^", "s", "X", "D", "v")
 _MANY_SEEDS = 5
 _FIRST_SEED = "_first_seed"
 _MAX_KEPT = 5000
@@ -347,10 +345,9 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
     columns = max(len(panels), 1)
     figure, ((*axes,),) = new_figure(2.9 * columns + 1.4, 2.9, columns=columns, has_common_axes=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
-        axis.scatter(*(100 * real.T), s=5, color="#3a6fd8", label="real", zorder=3, **CLOUD)
-        for number, (method, places) in enumerate(sets.items()):
-            colour = _COLOURS.get(method, f"C{number + 4}")
-            marker = _MARKERS[number % len(_MARKERS)]  # who does not see colours sees these
+        axis.scatter(*(100 * real.T), s=5, color="#9aa3b0", label="real", zorder=3, **CLOUD)
+        for method, places in sets.items():
+            colour, marker = style_of(method)
             axis.scatter(*(100 * places.T), s=7, color=colour, marker=marker, label=in_words(method), **CLOUD)
         if seed is not None:
             axis.plot(*(100 * seed), "kx", markersize=7, zorder=4)

@@ -30,6 +30,7 @@ from pasdedeux.evaluation.pictures import (
     new_figure,
 )
 from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.evaluation.styles import style_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.interaction.pair_map import PairMap
@@ -291,11 +292,12 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
     plane = PairMap.of(images_m)
     figure, ((axis,),) = new_figure(6.4, 5.0)
     axis.scatter(*(100 * plane.places.T), s=7, color="#9aa3b0", label="annotation", **CLOUD)
-    for number, (method, images) in enumerate(nearest.items()):
+    for method, images in nearest.items():
         own, count = np.unique(images, axis=0, return_counts=True)
         label = f"nearest to draws: {in_words(method)}"
         size = 12.0 + 150.0 * count / count.sum()
-        axis.scatter(*(100 * plane.place(own).T), s=size, alpha=0.6, color=f"C{number + 6}", label=label, **CLOUD)
+        colour, marker = style_of(method)
+        axis.scatter(*(100 * plane.place(own).T), s=size, alpha=0.6, color=colour, marker=marker, label=label, **CLOUD)
     if len(left_out_m):
         axis.plot(*(100 * plane.place(left_out_m).T), "kx", markersize=4, linestyle="none", label="left out")
     scale = _DRAWN_SHARE * 100 * float(np.ptp(plane.places[:, 0])) / 1.7

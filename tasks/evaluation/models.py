@@ -173,7 +173,9 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
             f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[best][row]['E_r']:.2f} cm"
             for what, row in cases.items()
         )
-        said = f"{in_words(best)}, on split {split_name}; the true variant is grey. Better: no grey shows. {listed}."
+        paper = "Li et al. 2024, figs. 5 and 6"
+        where = f"{in_words(best)}, on split {split_name} ({paper})"
+        said = f"{where}; the true variant is grey. Better: no grey shows. {listed}."
     learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
         *([f"Models and figures are of {skeleton}; surfaces are not measured."] * (skeleton != BODY22.name)),

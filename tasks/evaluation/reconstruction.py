@@ -283,9 +283,9 @@ def _shown(
     places = true - camera.camera_from_world_rotmat @ camera.position_m
     found, true = (turn_to_camera(motion, places) for motion in (found, true))
     caption = (
-        f"{sequence_id}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}), first as the "
-        "camera sees it; turn it, as one camera does not see depth. Better: it lies on the grey ground truth. Beside "
-        "the time: the mean error of that frame."
+        f"{sequence_id}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}; Yiannakides et al. "
+        "2019, figs. 6b and 7), first as the camera sees it; turn it, as one camera does not see depth. Better: it "
+        "lies on the grey ground truth. Beside the time: the mean error of that frame."
     )
     return ShownMotion(sequence_id, caption, found, rate_hz, px, true)
 
@@ -293,7 +293,8 @@ def _shown(
 TOPIC = Topic(
     name="reconstruction",
     heading="Reconstruction",
-    introduction="3D motion reconstructed from 2D poses, against the ground truth where there is one. The baseline is, "
+    introduction="3D motion reconstructed from 2D poses, against the ground truth where there is one. The published "
+    "search and the window rule are those of Yiannakides et al. 2019, figs. 2 to 5. The baseline is, "
     "frame by frame, the pose of the database whose image is nearest; of a film with a captured motion (take_id) also "
     "the reconstruction before a level camera. Errors are mean distances of 14 joints "
     "about the mid-hip; of two people also errors of their distance, depth and relative position. The table of names "

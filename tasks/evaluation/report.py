@@ -76,7 +76,9 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
     scores = {topic.name: _scores(store, found, topic) for topic in topics}
     judged, summary = judge([*inputs, *found]), summary_of([*inputs, *found])
     card = _card(settings, topics, inputs, summary)
-    drawn = {topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name])) is not None}
+    drawn = {
+        topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name], summary)) is not None
+    }
     every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
     silent = [topic for topic, section in zip(topics, every, strict=True) if section is None]
     there = {table for manifest in inputs for table in manifest.tables}
@@ -110,9 +112,11 @@ def _hero(store: Store, found: Sequence[Manifest]) -> Picture | None:
     return None
 
 
-def _compared(topic: Topic[Any], scores: Sequence[Score]) -> tuple[bytes, str] | None:
-    """Draw the figure of a topic's first criterion that can be drawn, method by method."""
-    return next((drawn for one in topic.criteria if (drawn := one.picture(scores)) is not None), None)
+def _compared(topic: Topic[Any], scores: Sequence[Score], summary: Summary) -> tuple[bytes, str] | None:
+    """Draw the figure of a topic's first criterion that can be drawn, method by method, as its verdict has it."""
+    named = ((one, part_name(EVALUATION.name, f"{topic.name} {one.name}".strip())) for one in topic.criteria)
+    drawn = (one.picture(scores, summary.verdicts.get(name)) for one, name in named)
+    return next((one for one in drawn if one is not None), None)
 
 
 def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> str:

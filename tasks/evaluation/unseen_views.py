@@ -139,7 +139,8 @@ def _draw(shown: Sequence[_ShownUnseenViews]) -> Iterator[Picture]:
     """Show the fit beside its image."""
     for motion in shown:
         name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
-        caption = f"{motion.item}, {motion.condition}: the image and the fit, first as the camera sees it."
+        paper = "Yiannakides et al. 2019, fig. 8"
+        caption = f"{motion.item}, {motion.condition}: the image and the fit ({paper}), first as the camera sees it."
         player = reconstruction_player(
             motion.found_m[:, None],
             rate_hz=motion.rate_hz,

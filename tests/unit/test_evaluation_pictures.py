@@ -5,27 +5,33 @@ from __future__ import annotations
 import base64
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pasdedeux.evaluation.names import known_methods
 from pasdedeux.evaluation.pictures import (
     PERSON_COLOURS,
     CurvePanel,
     Picture,
+    _draw_panel,
     curve_figure,
     image_panel,
+    new_figure,
     pack_player,
     people_panel,
+    rgb,
     shown_frames,
 )
 from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
+from pasdedeux.evaluation.styles import COLOURS, style_of
 from pasdedeux.evaluation.summary import Credit, Made, Summary
-from pasdedeux.evaluation.verdicts import Criterion
+from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.verdict import Level, Verdict
 from storage_schema.tables import TABLES
@@ -168,6 +174,8 @@ slider.dispatchEvent(new Event("input"));
 drawn.push(seen(canvas));
 canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
 drawn.push(seen(canvas));
+canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "+" }));
+drawn.push(seen(canvas));
 first.querySelector("button.home").click();
 drawn.push(seen(canvas));
 first.scrollIntoView();
@@ -197,8 +205,8 @@ def test_players_move_and_turn_and_tables_sort_in_a_browser(tmp_path: Path, widt
     answer = in_browser(_page(), _PROBE, tmp_path, width=width)
     assert answer["errors"] == []
     found = answer["found"]
-    first, scrubbed, turned, home = found["drawn"]
-    assert first != scrubbed != turned
+    first, scrubbed, turned, zoomed, home = found["drawn"]
+    assert first != scrubbed != turned != zoomed
     assert home == scrubbed
     assert found["moved"]
     assert found["num"] == 5
@@ -326,3 +334,65 @@ def test_take_scores_know_how_close_people_are() -> None:
     people[:, 1, :, 0] = 1.0
     people[5:, 1, :, 0] = 0.1
     assert {s.metric: s.value for s in take_scores("t", people, 10.0)}["share_closer_than_15_cm"] == 0.5
+
+
+_DEFICIENT = {
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
+}
+"""What people see who lack one kind of cones, in linear RGB (Machado et al. 2009, severity 1)."""
+
+
+def _lab(colours: Sequence[str], seen_by: str) -> np.ndarray:
+    """Return colours (n, 3) in CIELAB, as they are seen."""
+    srgb = np.array([rgb(colour) for colour in colours]) / 255.0
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.transpose(_DEFICIENT[seen_by]), 0.0, 1.0)
+    xyz = seen @ np.transpose([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    x, y, z = np.cbrt(np.maximum(xyz / [0.9505, 1.0, 1.089], 1e-9)).T
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=1)
+
+
+@pytest.mark.parametrize("seen_by", _DEFICIENT)
+@pytest.mark.parametrize(("colours", "least"), [(COLOURS, 15.0), (PERSON_COLOURS, 11.0), (PERSON_COLOURS[:2], 60.0)])
+def test_colours_are_told_apart_by_colour_blind_people(colours: Sequence[str], least: float, seen_by: str) -> None:
+    """A difference of 2.3 in CIELAB is just noticed; these are at least some times as far apart."""
+    places = _lab(colours, seen_by)
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(len(places), 1)]
+    assert apart.min() > least
+
+
+def test_a_method_has_one_style_and_neighbours_differ_in_colour_and_marker() -> None:
+    methods = known_methods()
+    for at, method in enumerate(methods):
+        for other in methods[at + 1 : at + len(COLOURS)]:
+            assert style_of(method).colour != style_of(other).colour
+            assert style_of(method).marker != style_of(other).marker
+    assert style_of("cartesian_repaired").colour == style_of("cartesian").colour
+    assert style_of("cartesian_repaired").marker != style_of("cartesian").marker
+    (axis,) = new_figure(3.0, 3.0)[1][0]
+    _draw_panel(axis, CurvePanel("y", {name: (np.arange(2.0), np.arange(2.0)) for name in methods[:3]}), "x")
+    assert [(line.get_color(), line.get_marker()) for line in axis.lines] == [*map(style_of, methods[:3])]
+
+
+def test_bars_say_what_the_verdict_says_and_leave_out_what_was_scored_on_other_items() -> None:
+    """Or a bar says 0.0295 cm where the verdict beside it says 0.0187: a mean over takes, and one over contacts."""
+    takes, seconds = ["a"] * 30 + ["b"] * 10, np.arange(40.0)
+    values = {"fit": np.r_[np.full(30, 0.1), np.full(10, 0.5)], "nearest": np.full(40, 0.4)}
+    criterion = Criterion("error", "joint error", "m", "poses", ("fit",))
+    verdict = criterion.verdict(Items(values, takes, seconds), ["nearest"])
+    scores = [
+        Score("error", method, float(values[method][part].mean()), "m", method == "nearest", item=take, count=count)
+        for method in values
+        for take, part, count in (("a", slice(0, 30), 30), ("b", slice(30, 40), 10))
+    ]
+    others = [Score("error", "viterbi", value, "m", item=item, count=20) for item, value in (("a", 0.2), ("b", 0.3))]
+    drawn = criterion.picture([*scores, *others], verdict)
+    assert drawn is not None
+    assert b">20<" in drawn[0], "0.2 m, 30 frames of 0.1 and 10 of 0.5"
+    assert b"best path" in drawn[0]
+    drawn = criterion.picture([*(replace(one, count=1) for one in scores), *others], verdict)
+    assert drawn is not None
+    assert b">20<" in drawn[0]
+    assert b"best path" not in drawn[0]

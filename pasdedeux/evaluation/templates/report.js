@@ -1,6 +1,12 @@
 "use strict";
 // Players: 3D motions on a canvas. Positions are int16 in units of `unit_m`, one frame after another; -32768 is "not there".
-const MISSING = -32768, FLOOR = "#c3cad3";
+const MISSING = -32768;
+let isPrinting = false;
+
+// A colour of the page, which is dark or light as the reader has it; of what is printed the light one.
+function themed(name, light) {
+  return (!isPrinting && getComputedStyle(document.documentElement).getPropertyValue(name)) || light;
+}
 
 function shade(colour, factor) {
   return "rgb(" + [1, 3, 5].map((at) => Math.round(parseInt(colour.slice(at, at + 2), 16) * factor)).join(",") + ")";
@@ -15,14 +21,17 @@ class Player {
     this.slider = figure.querySelector("input");
     this.button = figure.querySelector("button.play");
     this.label = figure.querySelector("output");
-    this.home = [0, this.scene.has_floor ? 0.2 : 0];
-    [this.yaw, this.pitch] = this.home;
     this.frame = 0; this.speed = 1; this.isPlaying = false;
     this.slider.max = this.scene.num_frames - 1;
     this.slider.addEventListener("input", () => { this.pause(); this.show(Number(this.slider.value)); });
     this.button.addEventListener("click", () => (this.isPlaying ? this.pause() : this.play()));
     figure.querySelector("select").addEventListener("change", (event) => { this.speed = Number(event.target.value); });
-    figure.querySelector("button.home").addEventListener("click", () => { [this.yaw, this.pitch] = this.home; this.draw(); });
+    figure.querySelector("button.home").addEventListener("click", () => { [this.yaw, this.pitch, this.zoom] = [...this.home, 1]; this.draw(); });
+    for (const [name, factor] of [["nearer", 1.25], ["farther", 0.8]])
+      figure.querySelector(`button.${name}`).addEventListener("click", () => this.enlarge(factor));
+    this.canvas.addEventListener("wheel", (event) => {  // with Ctrl, or two fingers: the page scrolls else
+      if (event.ctrlKey) { event.preventDefault(); this.enlarge(Math.exp(-0.01 * event.deltaY)); }
+    }, { passive: false });
     this.canvas.addEventListener("pointerdown", (event) => this.canvas.setPointerCapture(event.pointerId));
     this.canvas.addEventListener("pointermove", (event) => {
       if (event.buttons) this.orbit(event.movementX * 0.01, event.movementY * 0.01);
@@ -30,12 +39,16 @@ class Player {
     this.canvas.addEventListener("keydown", (event) => this.press(event));
     if (this.scene.num_frames < 2) figure.querySelector(".time").hidden = true;
     this.measure();
+    this.frame = this.first = this.touching();
+    this.home = [this.across(), this.scene.has_floor ? 0.2 : 0];
+    [this.yaw, this.pitch, this.zoom] = [...this.home, 1];
     new ResizeObserver(() => this.draw()).observe(this.canvas);
   }
 
   press(event) {
     const turns = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
     if (event.key in turns) this.orbit(...turns[event.key]);
+    else if (event.key === "+" || event.key === "-") this.enlarge(event.key === "+" ? 1.25 : 0.8);
     else if (event.key === " ") this.button.click();
     else return;
     event.preventDefault();
@@ -44,6 +57,11 @@ class Player {
   orbit(yaw, pitch) {
     this.yaw += yaw;
     this.pitch = Math.max(-1.5, Math.min(1.5, this.pitch + pitch));
+    this.draw();
+  }
+
+  enlarge(factor) {
+    this.zoom = Math.max(0.5, Math.min(8, this.zoom * factor));
     this.draw();
   }
 
@@ -75,6 +93,29 @@ class Player {
   point(index) {
     const at = 3 * (this.frame * this.scene.num_points + index), unit = this.scene.unit_m, values = this.values;
     return values[at] === MISSING ? null : [values[at] * unit, values[at + 1] * unit, values[at + 2] * unit];
+  }
+
+  // The frame in the middle, or the one nearest to it with the most contacts.
+  touching() {
+    const middle = Math.floor(this.scene.num_frames / 2);
+    const links = this.scene.panels.flatMap((panel) => panel.lines.filter((lines) => lines.width === 2));
+    const starts = links.flatMap((lines) => Array.from({ length: lines.num_lines }, (_, at) => lines.start + 2 * at));
+    let best = middle, most = -1;
+    for (let frame = 0; frame < this.scene.num_frames; frame++) {
+      this.frame = frame;
+      const count = starts.filter((at) => this.point(at)).length;
+      if (count > most || (count === most && Math.abs(frame - middle) < Math.abs(best - middle))) [best, most] = [frame, count];
+    }
+    return best;
+  }
+
+  // The first view is across the line between two people on a floor; what a camera saw is shown as it did.
+  across() {
+    const { panels, has_floor: hasFloor } = this.scene, people = panels[0]?.figures.filter((figure) => !figure.is_thin) ?? [];
+    if (!hasFloor || people.length !== 2 || panels.some((panel) => panel.is_flat)) return 0;
+    const [a, b] = people.map((figure) => this.middle({ figures: [figure], lines: [] })?.at);
+    const yaw = a && b ? Math.atan2(b[2] - a[2], b[0] - a[0]) : 0;
+    return yaw > Math.PI / 2 ? yaw - Math.PI : yaw < -Math.PI / 2 ? yaw + Math.PI : yaw;
   }
 
   // Each panel looks at the middle of its people; all panels have one scale, which holds everybody at all times.
@@ -131,7 +172,7 @@ class Player {
 
   drawPanel(pen, panel, width, height) {
     const box = this.middle(panel), isFlat = panel.is_flat, half = isFlat ? panel.half : (this.top - this.bottom) / 2;
-    const scale = Math.min((0.46 * width) / (isFlat ? panel.reach : 1.15 * this.reach), (0.43 * (height - 20)) / half);
+    const scale = this.zoom * Math.min((0.46 * width) / (isFlat ? panel.reach : 1.15 * this.reach), (0.43 * (height - 20)) / half);
     const up = isFlat ? 0 : (this.top + this.bottom) / 2;
     const centre = box && !isFlat ? [box.at[0], up, box.at[2]] : [0, up, 0];
     const yaw = isFlat ? 0 : this.yaw, pitch = isFlat ? 0 : this.pitch;
@@ -146,10 +187,11 @@ class Player {
       pen.beginPath(); pen.moveTo(a[0], a[1]); pen.lineTo(b[0], b[1] + (a[0] === b[0] && a[1] === b[1] ? 0.01 : 0)); pen.stroke();
     };
     if (this.scene.has_floor && !isFlat) {
+      const floor = themed("--floor", "#c3cad3");
       const [x, z] = [Math.round(centre[0]), Math.round(centre[2])], far = Math.ceil(this.reach) + 1;
       for (let i = -far; i <= far; i++) {
-        line(project([x + i, 0, z - far]), project([x + i, 0, z + far]), FLOOR, 1);
-        line(project([x - far, 0, z + i]), project([x + far, 0, z + i]), FLOOR, 1);
+        line(project([x + i, 0, z - far]), project([x + i, 0, z + far]), floor, 1);
+        line(project([x - far, 0, z + i]), project([x + far, 0, z + i]), floor, 1);
       }
     }
     const strokes = [], marks = [];
@@ -177,7 +219,7 @@ class Player {
       line(a, b, colour, thick);
       for (const end of [a, b]) { line(end, end, "#ffffff", 9); line(end, end, colour, 7); }
     }
-    pen.fillStyle = "#1c2430";
+    pen.fillStyle = themed("--ink", "#1c2430");
     pen.font = "12px system-ui, sans-serif";
     pen.fillText(panel.title, 4, 14, width - 8);
   }
@@ -189,7 +231,7 @@ function ready(figure) {
   if (!players.has(figure)) {
     players.set(figure, new Player(figure));
     const player = players.get(figure);
-    player.show(Math.floor(player.scene.num_frames / 2));
+    player.show(player.first);
   }
   return players.get(figure);
 }
@@ -206,7 +248,14 @@ document.querySelectorAll("figure.player").forEach((figure) => near.observe(figu
 window.addEventListener("beforeprint", () => {
   document.querySelectorAll("details.topic").forEach((one) => { one.open = true; });
   document.querySelectorAll("figure.player").forEach(ready);
+  redraw(true);
 });
+window.addEventListener("afterprint", () => redraw(false));
+function redraw(forPrint) {
+  isPrinting = forPrint;
+  players.forEach((player) => player.draw());
+}
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw(isPrinting));
 
 // A link opens the section that it leads to.
 function unfold() {

@@ -174,7 +174,7 @@ FAULTS = (
     Fault("of many verdicts the best one is told", "pasdedeux/evaluation/verdicts.py",
           "worst = max((level", "worst = min((level",
           "unit/test_verdict.py::test_many_verdicts_become_the_worst_with_its_share_and_the_mean_figure"),
-    Fault("the figure of many verdicts is a median of parts", "pasdedeux/evaluation/verdicts.py",
+    Fault("the figure of many verdicts is a median of parts", "pasdedeux/evaluation/scores.py",
           "math.fsum(value * count for value, count in known) / total",
           "float(np.median([value for value, _ in known]))",
           "unit/test_verdict.py::test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards"),

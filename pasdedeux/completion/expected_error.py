@@ -37,7 +37,7 @@ LOW_OF_DATABASE, HIGH_OF_DATABASE = 0.45, 1.96
 and places.  Means of logarithms over 302 pairs of the same videos, the database without their families, and the scatter
 within families and between them; families left out of that in turn, 88 % are inside, as are 88 % of 112 pairs of the
 built-in duets, which nothing was fitted to.  What is expected of the pair alone is of draws: with it the score of
-intervals falls (findings)."""
+intervals falls (docs/decisions)."""
 
 
 class ExpectedError(NamedTuple):

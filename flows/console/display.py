@@ -24,6 +24,8 @@ from tasks.summary import summary_of
 
 _SILENCE_S = 5.0
 """Silence after which a progress line is printed, where there is no terminal for a bar."""
+_LONGEST_SILENCE_S = 60.0
+"""The same where the line says nothing new: pauses double up to here."""
 _LOOK_UP_S = 0.5
 _NAMED = 3
 """Shards in work that are named."""
@@ -37,11 +39,11 @@ def make_listener(*, is_quiet: bool = False) -> Listener:
 
 
 class LineListener(Listener):
-    """Prints one fact a line, and progress after five seconds of silence."""
+    """Prints one fact a line, and progress after five seconds of silence; the same line less and less often."""
 
     def __init__(self) -> None:
         self._started = self._last_line = time.monotonic()
-        self._doing = "starting"
+        self._doing, self._said, self._pause_s = "starting", "", _SILENCE_S
         self._closed = threading.Event()
         self._watch = threading.Thread(target=self._break_silence, daemon=True)
         self._watch.start()
@@ -73,8 +75,10 @@ class LineListener(Listener):
 
     def _break_silence(self) -> None:
         while not self._closed.wait(_LOOK_UP_S):
-            if time.monotonic() - self._last_line > _SILENCE_S - _LOOK_UP_S:
-                self._say(self._doing)
+            pause_s = self._pause_s if self._doing == self._said else _SILENCE_S
+            if time.monotonic() - self._last_line > pause_s - _LOOK_UP_S:
+                self._said, self._pause_s = self._doing, min(2.0 * pause_s, _LONGEST_SILENCE_S)
+                self._say(self._said)
 
     def _say(self, text: str) -> None:
         self._last_line = time.monotonic()

@@ -6,6 +6,7 @@ import itertools
 import shutil
 import signal
 import tempfile
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -565,6 +566,21 @@ def test_what_is_left_is_told_by_what_ended_and_by_what_a_stage_had_that_cannot_
     assert found.running == (grow[5], grow[4])
     assert found.partitions == {("grow", "a"): (4, 5), ("grow", "b"): (0, 1)}
     assert tally.partitions("grow") == [PartitionCount("a", 5, 2, 2, 6.0), PartitionCount("b", 1)]
+
+
+def test_the_same_line_is_printed_less_and_less_often(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, seconds in (("_SILENCE_S", 0.05), ("_LOOK_UP_S", 0.01)):
+        monkeypatch.setattr(f"flows.console.display.{name}", seconds)
+    listener = LineListener()
+    listener.progressed(Progress(1, 9, [], 0.0, is_all=True))
+    time.sleep(1.5)
+    listener.progressed(Progress(2, 9, [], 0.0, is_all=True))
+    said: list[str] = []
+    wait_until(lambda: said.append(capsys.readouterr().err) or "2 of 9" in "".join(said), "what is new")
+    listener.close()
+    assert 1 <= "".join(said).count("1 of 9 shards") <= 6, "0.05, 0.1, 0.2, 0.4 and 0.8 s apart, not 30 times"
 
 
 def test_silence_is_broken_with_how_far_the_run_is(

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import chain
+from pathlib import Path
 
 from flows.records import PLAN_FILE, describe_runs, made_by, run_file, run_record
 from storage_schema import (
@@ -18,6 +21,7 @@ from storage_schema import (
 from storage_schema.datasets import dataset_labels, named_places
 from storage_schema.folder_store import FolderStore
 from storage_schema.garbage import StageKey, Sweep, find_unneeded, folder_bytes, remove_unneeded
+from storage_schema.unpacked import unused_clips
 
 _BEGUN = re.compile(r"\d{8}T\d{6}(?=-)")
 
@@ -28,17 +32,23 @@ class StoreInUseError(Exception):
 
 @dataclass(frozen=True)
 class Collection:
-    """What stays in a store and what goes: artifacts, and the folders of runs by id with their bytes."""
+    """What stays in a store and what goes: artifacts, and the folders of runs by id with their bytes.
+
+    Likewise the folders of the cache in which clips are unpacked, of whatever store or folder.
+    """
 
     artifacts: Sweep
     kept_runs: dict[str, int]
     going_runs: dict[str, int]
+    kept_clips: dict[Path, int]
+    going_clips: dict[Path, int]
     num_datasets: int
 
     @property
     def num_bytes(self) -> int:
         """Return the bytes that go."""
-        return sum(stored.num_bytes for stored in self.artifacts.going) + sum(self.going_runs.values())
+        folders = chain(self.going_runs.values(), self.going_clips.values())
+        return sum(stored.num_bytes for stored in self.artifacts.going) + sum(folders)
 
 
 def find_garbage(store: Store, since: datetime) -> Collection:
@@ -46,6 +56,7 @@ def find_garbage(store: Store, since: datetime) -> Collection:
 
     Needed is what datasets name, what is on record of each study, what the last finished run of each of its stages
     made, what runs begun at or after a time made or found there, whatever was made since, and all these came from.
+    Unpacked clips are needed that were used since.
 
     Raises:
         CorruptArtifact: A dataset or the record of a study cannot be read: what it needs is not known.
@@ -66,11 +77,14 @@ def find_garbage(store: Store, since: datetime) -> Collection:
             runs.add(folder.run_id)
     runs.update(last_of.values())
     needed.update(place for run_id in runs for place in _made_or_found(store, run_id))
+    kept_clips, going_clips = ({path: folder_bytes(path) for path in paths} for paths in unused_clips(since))
     sizes = {folder.run_id: folder_bytes(folder.path) for folder in list_runs(store)}
     return Collection(
         artifacts=find_unneeded(store, needed, since),
         kept_runs={run_id: size for run_id, size in sizes.items() if run_id in runs},
         going_runs={run_id: size for run_id, size in sizes.items() if run_id not in runs},
+        kept_clips=kept_clips,
+        going_clips=going_clips,
         num_datasets=len(dataset_labels(store)),
     )
 
@@ -93,6 +107,8 @@ def collect(store: Store, since: datetime) -> Collection:
         sweep = find_garbage(store, since)
         remove_unneeded(store, sweep.artifacts)
         store.remove_folders(store.root / "runs" / run_id for run_id in sweep.going_runs)
+    for path in sweep.going_clips:
+        shutil.rmtree(path, ignore_errors=True)  # of which another may remove files, too
     return sweep
 
 

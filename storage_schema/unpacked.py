@@ -3,15 +3,19 @@
 A Parquet file gives a row only with the thousands that are compressed with it.  What is read in any order, again and
 again, such as windows to train on, is therefore unpacked once into a folder of the cache, a third larger than the
 Parquet files.  None of its motion stays in memory; what the system caches of the files it takes back where memory is
-short.  Folders are named by the digest of what they hold, so none grows stale; any may be removed at any time.
+short.  Folders are named by the digest of what they hold, so none grows stale; any may be removed at any time, and `gc`
+removes those that nobody has used for a while: a folder's time is that of its last use.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import weakref
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
+from datetime import datetime
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +44,7 @@ ROWS: Mapping[str, np.dtype] = {
 rest pose; of a frame, the number of its first contact, and after the last frame of a take where its contacts end; of
 a contact."""
 _CLIPS = "clips.parquet"
+_DIGEST = re.compile("[0-9a-f]{64}")
 
 
 class ClipWriter:
@@ -119,14 +124,27 @@ def unpacked(digest: str, write: Callable[[ClipWriter], None]) -> UnpackedClips:
     Raises:
         FullDisk: There is no room for them in the cache.
     """
-    root = cache_folder() / "unpacked"
+    root = _root()
     if not (folder := root / digest).is_dir():
         clean_leftovers(root)
         with write_errors(root), closing(StagingFolder(root)) as staging:
             with closing(ClipWriter(staging.path)) as writer:
                 write(writer)
             staging.take_place(folder)
+    with suppress(OSError):  # a cache that only its owner may write to
+        os.utime(folder)
     return UnpackedClips(folder)
+
+
+def unused_clips(since: datetime) -> tuple[list[Path], list[Path]]:
+    """Return the folders of the cache that were used at or after a time, and the others."""
+    folders = sorted(path for path in _root().glob("*") if path.is_dir() and _DIGEST.fullmatch(path.name))
+    is_used = [path.stat().st_mtime >= since.timestamp() for path in folders]
+    return list(compress(folders, is_used)), [path for path, used in zip(folders, is_used, strict=True) if not used]
+
+
+def _root() -> Path:
+    return cache_folder() / "unpacked"
 
 
 def _close(handles: dict[str, int]) -> None:

@@ -31,8 +31,9 @@ def gc(
 
     It keeps what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names,
     what runs of the last days made or read, and everything that any of these were computed from.  Folders of older runs
-    are removed with their reports.  Nothing is removed while a run is in progress.  If it is killed, the store stays
-    whole, and the same command finishes the work.
+    are removed with their reports.  So are clips that were unpacked for training, of any store, and not used in the
+    last days: who asks for them unpacks them again.  Nothing is removed while a run is in progress.  If it is killed,
+    the store stays whole, and the same command finishes the work.
     """
     opened = existing_store(store)
     since = datetime.now(UTC) - timedelta(days=days)
@@ -44,6 +45,7 @@ def gc(
         "stages": {stage: dict(zip(names, row, strict=True)) for stage, row in by_stage.items()},
         "artifacts": [{"stage": stored.place[0], "key": stored.place[1]} for stored in collection.artifacts.going],
         "runs": list(collection.going_runs),
+        "unpacked_clips": [str(path) for path in collection.going_clips],
     }
     needed_by = f"{counted(collection.num_datasets, 'dataset')} and {counted(len(collection.kept_runs), 'run')}"
     rows = [
@@ -60,12 +62,17 @@ def gc(
 
 
 def _by_stage(found: Collection) -> dict[str, tuple[int, int, int, int]]:
-    """Return number and bytes of what stays and of what goes: for each stage, for the folders of runs, for all."""
+    """Return number and bytes of what stays and of what goes: by stage, of runs' folders, of unpacked clips, of all."""
     counts: Counter[tuple[str, int]] = Counter()
-    for at, stored, runs in ((0, found.artifacts.kept, found.kept_runs), (2, found.artifacts.going, found.going_runs)):
+    kept, going = found.artifacts.kept, found.artifacts.going
+    for at, stored, runs, clips in (
+        (0, kept, found.kept_runs, found.kept_clips),
+        (2, going, found.going_runs, found.going_clips),
+    ):
         for name, num_bytes in [
             *((artifact.place[0], artifact.num_bytes) for artifact in stored),
             *(("runs", n) for n in runs.values()),
+            *(("unpacked clips", n) for n in clips.values()),
         ]:
             for row in (name, "all"):
                 counts[row, at] += 1

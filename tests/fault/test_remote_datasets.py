@@ -35,6 +35,8 @@ from tests.builders.storage_rows import commit_rows, put, random_columns
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:

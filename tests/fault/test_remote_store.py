@@ -55,6 +55,8 @@ from tests.builders.toys import TOYS
 if TYPE_CHECKING:
     from obstore import ObjectMeta
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 EVERYTHING = 14
 _BUILD = """
 import sys

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 import pytest
 
 from flows.collecting import StoreInUseError, collect, find_garbage
@@ -29,13 +32,18 @@ from storage_schema import (
     read_latest,
     verify,
 )
+from storage_schema.unpacked import unpacked
 from tasks.shards import ClusterSettings, HerePool
 from tests.builders.storage_rows import commit_rows, list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, call, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 NOW = datetime(9999, 1, 1, tzinfo=UTC)
 """A time after which nothing was made: nothing is kept for being young."""
+
+NOW_S = time.time()
 
 
 def files(folder: Path) -> dict[str, int]:
@@ -58,6 +66,32 @@ def store(tmp_path: Path, study: Path) -> Store:
     for scale in (2.0, 3.0):
         run_toys(study, store.root, f"grow.scale={scale}")
     return store
+
+
+def test_unpacked_clips_go_when_nobody_used_them_for_so_long(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage_schema.unpacked.cache_folder", lambda: tmp_path / "cache")
+    rows = np.zeros((3, 22, 3), np.float32)
+    used, old = (
+        unpacked(digit * 64, lambda writer: writer.append("positions", rows) and None).folder for digit in "ab"
+    )
+    (tmp_path / "cache" / "unpacked" / "notes").mkdir()
+    os.utime(old, (NOW_S - 8 * 86400,) * 2)
+    os.utime(used, (NOW_S - 8 * 86400,) * 2)
+    assert unpacked("a" * 64, lambda writer: None).folder == used
+    since = datetime.fromtimestamp(NOW_S - 86400, UTC)
+    found = find_garbage(store, since)
+    assert (list(found.kept_clips), list(found.going_clips)) == ([used], [old])
+    assert found.going_clips[old] == sum(files(old).values()) > rows.nbytes
+    assert found.num_bytes >= found.going_clips[old]
+    assert used.is_dir()
+    assert old.is_dir(), "nothing goes before it is asked for"
+    collect(store, since)
+    assert sorted(path.name for path in (tmp_path / "cache" / "unpacked").iterdir() if path.is_dir()) == [
+        used.name,
+        "notes",
+    ]
 
 
 def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_goes(store: Store, study: Path) -> None:

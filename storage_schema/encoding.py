@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,16 @@ def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
         except _MisfitError as misfit:
             raise SchemaError(f"table '{table.name}': column '{column.name}' {misfit}") from None
     return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def with_columns(table: Table, rows: pa.Table, columns: Mapping[str, Any]) -> pa.Table:
+    """Return encoded rows of a table with other values in some columns, which are given as `encode` takes them."""
+    for column in table.columns:
+        if column.name in columns:
+            at = rows.schema.get_field_index(column.name)
+            field = rows.schema.field(at)
+            rows = rows.set_column(at, field, _encode_column(column, columns, field.type))
+    return rows
 
 
 def _encode_column(column: Column, columns: Mapping[str, Any], stored: pa.DataType) -> pa.Array:
@@ -104,7 +115,11 @@ def _varying(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
 
 def _texts(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     is_list = column_kind(column) is Kind.TEXT_LIST
-    for index, value in enumerate(values):
+    kinds = set(map(type, values))
+    are_texts = not is_list and all(
+        issubclass(kind, str) or (kind is NoneType and column.is_nullable) for kind in kinds
+    )
+    for index, value in enumerate(() if are_texts else values):
         texts = value if is_list else [value]
         is_null = value is None and column.is_nullable
         if not (is_null or (isinstance(texts, list | tuple | np.ndarray) and all(isinstance(t, str) for t in texts))):

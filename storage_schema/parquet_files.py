@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pyarrow as pa
@@ -109,8 +110,10 @@ def read_table(
         return TableData(table, arrow_table.slice(start - first, max(stop - start, 0)))
 
 
-def iter_table(path: Path, table: Table, *, columns: Sequence[str] | None = None) -> Iterator[TableData]:
-    """Read a table one row group at a time.
+def iter_table(
+    path: Path, table: Table, *, columns: Sequence[str] | None = None, only: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[TableData]:
+    """Read a table one row group at a time; those that, by the file's statistics, hold `only` these texts in columns.
 
     Raises:
         SchemaError: A column is not in the table, or the file was written with other columns.
@@ -118,10 +121,21 @@ def iter_table(path: Path, table: Table, *, columns: Sequence[str] | None = None
     """
     names = _wanted(table, columns)
     with _opened(path, table) as file:
-        for group in range(file.num_row_groups):
+        for group in groups_with(file, only):
             yield TableData(
                 table, _guarded(path, lambda g=group: file.read_row_group(g, columns=names, use_threads=False))
             )
+
+
+def groups_with(file: pq.ParquetFile, only: Mapping[str, str]) -> list[int]:
+    """Return the row groups that, by the file's statistics, hold only these texts in columns."""
+    found = []
+    for group in range(file.num_row_groups):
+        row_group = file.metadata.row_group(group)
+        own = {chunk.path_in_schema: chunk.statistics for chunk in map(row_group.column, range(row_group.num_columns))}
+        if all(own[name] and own[name].min == own[name].max == text for name, text in only.items()):
+            found.append(group)
+    return found
 
 
 def _options(table: Table) -> dict[str, Any]:

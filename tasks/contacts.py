@@ -6,7 +6,7 @@ One definition serves the table `contacts` that is exported, `contacts` of a cli
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation import Source, UserContact
 from pasdedeux.errors import check_whole
-from pasdedeux.people.names import person_name
+from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store
 from tasks.augmentation import batch_of
@@ -23,6 +23,8 @@ from tasks.takes import read_objects, take_of
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_PARENTS = np.maximum(BODY22.parents, 0)
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,25 @@ class ContactRows:
             objects=() if source.objects is None else source.objects.names,
         )
 
+    def held_in(self, source: Source) -> ContactRows:
+        """Return the same contacts as they lie in another motion of these people, such as a variant of their take.
+
+        Frames, parts of bodies and weights stay; points and gaps are those of the motion.  Objects move as before.
+        """
+        ends = np.array(self.points_m)
+        reach = np.zeros(self.person.shape)
+        for end in (0, 1):
+            on = self.person[:, end] >= 0
+            frame, person, bone = self.frame[on], self.person[on, end], self.bone[on, end]
+            parent, child = (source.positions_m[frame, person, joint] for joint in (_PARENTS[bone], bone))
+            ends[on, end] = parent + self.share[on, end, None] * (child - parent)
+            reach[on, end] = source.radii_m[person, bone]
+        if source.objects is not None:
+            thing = self.person[:, 1] < 0
+            reach[thing, 1] = source.objects.radii_m[self.bone[thing, 1]]
+        gap_m = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1) - reach.sum(axis=-1)
+        return replace(self, points_m=ends, gap_m=gap_m)
+
     @property
     def distance_m(self) -> npt.NDArray[np.float64]:
         """Distance of both points (n,), metres."""
@@ -82,21 +103,19 @@ class ContactRows:
 
     def columns(self) -> dict[str, Any]:
         """Return them as columns of the table `contacts`, from `frame` on, without times."""
-        is_body = self.person[:, 1] >= 0
-        partners = zip(is_body, self.person[:, 1], self.bone[:, 1], self.share[:, 1].tolist(), strict=True)
-        second = [
-            (person_name(person), BODY22.joint_names[bone], share) if body else (None, self.objects[bone], None)
-            for body, person, bone, share in partners
-        ]
+        num_people = int(self.person.max(initial=0)) + 1
+        people = np.array([*person_names(num_people), None])  # the last is that of an object
+        parts = np.array([*BODY22.joint_names, *self.objects])
+        second = np.where(self.person[:, 1] < 0, BODY22.num_joints, 0) + self.bone[:, 1]
         return {
             "frame": self.frame,
-            "person": [person_name(person) for person in self.person[:, 0]],
-            "bone": [BODY22.joint_names[joint] for joint in self.bone[:, 0]],
+            "person": people[self.person[:, 0]].tolist(),
+            "bone": parts[self.bone[:, 0]].tolist(),
             "share": self.share[:, 0],
             "point_m": self.points_m[:, 0],
-            "partner": [person for person, _, _ in second],
-            "partner_bone": [bone for _, bone, _ in second],
-            "partner_share": [share for _, _, share in second],
+            "partner": people[self.person[:, 1]].tolist(),
+            "partner_bone": parts[second].tolist(),
+            "partner_share": self.share[:, 1],
             "partner_point_m": self.points_m[:, 1],
             "distance_m": self.distance_m,
             "gap_m": self.gap_m,

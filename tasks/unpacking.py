@@ -18,6 +18,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store, canonical_json
+from storage_schema.parquet_files import groups_with
 from storage_schema.unpacked import CONTACT, ClipWriter, UnpackedClips, unpacked
 from tasks.contacts import find_contact_rows
 from tasks.facts import TakeFacts
@@ -219,7 +220,9 @@ def _contacts_by_take(files: Sequence[Path]) -> Iterator[tuple[str, pa.Table]]:
     """Yield the contacts of each take, whose rows follow each other; those of one take are in memory."""
     held: list[pa.Table] = []
     for path in files:
-        for group in pq.ParquetFile(path).iter_batches(columns=list(_CONTACT_COLUMNS)):
+        file = pq.ParquetFile(path)
+        takes = groups_with(file, {"origin": "poses"})
+        for group in file.iter_batches(columns=list(_CONTACT_COLUMNS), row_groups=takes):
             rows = pa.Table.from_batches([group])
             ends = np.flatnonzero(pc.not_equal(rows["take_id"][1:], rows["take_id"][:-1]).to_numpy()) + 1
             for start, stop in zip([0, *ends.tolist()], [*ends.tolist(), rows.num_rows], strict=True):

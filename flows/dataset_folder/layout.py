@@ -18,7 +18,7 @@ from tasks.sides import Side
 MANIFEST, RECORD, SPLITS_FILE = "manifest.json", "record", "splits.json"
 
 PartKey = tuple[str, str, Ranges]
-"""What a row group is of: stage and content digest of the artifact, and its rows of the table; none of contacts."""
+"""What a row group is of: stage and content digest of the artifact, and its rows; of contacts of a take none."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -39,10 +39,12 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import TABLES, ArtifactRef, Dataset, Manifest, Store, canonical_json
 from storage_schema.durable import exchange, locked_file, make_folder, sync_folder, write_errors, write_file
-from storage_schema.encoding import encode
+from storage_schema.encoding import encode, with_columns
 from storage_schema.keys import file_sha256
 from storage_schema.parquet_files import TableWriter, iter_table
+from storage_schema.table_data import TableData
 from storage_schema.version import SCHEMA_VERSION
+from tasks.augmentation import batch_of
 from tasks.contacts import ContactRows
 from tasks.facts import PeopleFacts, TakeFacts
 from tasks.judgements import verdict_of
@@ -52,7 +54,7 @@ from tasks.takes import read_rest, read_take, take_of
 FILE_BYTES = 100_000_000
 """Size of a data file, about: a file ends with the row group that reaches it."""
 _CONTACT_BYTES = 400
-"""Of a frame of a take, about."""
+"""Of a frame of a person, about."""
 _MOTIONS = ("poses", "variants")
 _PART = ".part"
 
@@ -146,9 +148,10 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
     places = defaultdict[tuple[str, str], dict[PartKey, Group]](dict)
     for group in contents.groups:
         places[group.table, group.split][key_of(group)] = group
-        if group.table == "poses":
+        if group.table in _MOTIONS:
             num_bytes = _CONTACT_BYTES * group.num_rows
-            made = Group("contacts", group.split, group.ref, (), num_bytes, group.clip)
+            rows = () if group.table == "poses" else group.rows
+            made = Group("contacts", group.split, group.ref, rows, num_bytes, group.clip)
             places["contacts", group.split][key_of(made)] = made
     files = []
     for (table, split), groups in sorted(places.items()):
@@ -260,8 +263,9 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
         for ref, own in groupby(file.groups, key=lambda group: group.ref):
             groups = list(own)
             if file.table == "contacts":
-                if (rows := _contacts_of(store, ref)).num_rows:  # some readers stop at a row group without rows
-                    writer.write_group(rows)
+                for rows in _contacts_of(store, ref, groups):
+                    if rows.num_rows:  # some readers stop at a row group without rows
+                        writer.write_group(rows)
                 continue
             batches = (batch.rows for batch in store.iter_batches(ref, file.table))
             for rows in cut(batches, groups):
@@ -274,13 +278,26 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
     sync_folder(path.parent)
 
 
-def _contacts_of(store: Store, ref: ArtifactRef) -> Any:
-    """Return the contacts of a take as rows."""
-    facts = TakeFacts.of(store.manifest(ref))
-    found = ContactRows.of(read_take(store, ref).source, facts.contacts)
-    count = len(found.frame)
-    rows = {"origin": ["poses"] * count, "take_id": [facts.take_id] * count, "time_s": found.frame / facts.rate_hz}
-    return encode(TABLES["contacts"], rows | found.columns())
+def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Iterator[Any]:
+    """Yield the contacts of a take as rows, or of variants those of the take as each of them holds them."""
+    manifest = store.manifest(ref)
+    is_variant = "variants" in manifest.tables
+    take = take_of(store, ref) if is_variant else ref
+    facts, source = TakeFacts.of(store.manifest(take)), read_take(store, take).source
+    found = ContactRows.of(source, batch_of(manifest).contacts if is_variant else facts.contacts)
+    count, table = len(found.frame), TABLES["variants"]
+    rows = {"take_id": [facts.take_id] * count, "time_s": found.frame / facts.rate_hz} | found.columns()
+    if not is_variant:
+        yield encode(TABLES["contacts"], {"origin": ["poses"] * count} | rows)
+        return
+    known = encode(TABLES["contacts"], {"origin": ["variants"] * count} | rows)
+    batches = (one.rows for one in store.iter_batches(ref, "variants", columns=["body22_m"]))
+    for group, part in zip(groups, cut(batches, groups), strict=True):
+        positions_m = TableData(table, part)["body22_m"].reshape(source.positions_m.shape)
+        held = found.held_in(replace(source, positions_m=positions_m))
+        own = {"variant_id": [group.clip.partition("/")[2]] * count, "distance_m": held.distance_m}
+        own |= {"point_m": held.points_m[:, 0], "partner_point_m": held.points_m[:, 1], "gap_m": held.gap_m}
+        yield with_columns(TABLES["contacts"], known, own)
 
 
 def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, FolderFile]:
@@ -343,7 +360,8 @@ def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str,
     """Yield of each take the frames in which something is held, and the bone of body22 that is (n,), by both sides."""
     names = {name: at for at, name in enumerate(BODY22.joint_names)}
     for file in files:
-        for rows in _row_groups(part, file) if file.table == "contacts" else ():
+        takes = iter_table(part / file.name, TABLES[file.table], only={"origin": "poses"})
+        for rows in takes if file.table == "contacts" else ():
             held = np.asarray(rows["is_held"])
             frame = np.tile(np.asarray(rows["frame"])[held], 2)
             bones = np.concatenate([rows["bone"][held], rows["partner_bone"][held]])
@@ -382,7 +400,7 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
             pairs = np.unique(np.stack([frame, bone]), axis=1)[1]
             held[take] = np.bincount(pairs[pairs >= 0], minlength=BODY22.num_joints).astype(np.float64)
         if touched:
-            takes = [manifests[group.ref] for file in touched for group in file.groups]
+            takes = [manifests[group.ref] for file in touched for group in file.groups if not group.rows]
             num_frames = {TakeFacts.of(one).take_id: TakeFacts.of(one).num_frames for one in takes}
             found[split]["poses"]["contact_rate"] = contact_figures(held, num_frames)
     return found

@@ -148,6 +148,25 @@ def test_a_clip_is_one_row_group_with_the_take_s_split_and_the_rows_of_the_store
         assert clip.contact_rate == 0.0 if clip.take_id == "alone" else 0.0 < clip.contact_rate <= 1.0
 
 
+def test_a_variant_has_the_contacts_of_its_take_where_it_holds_them(folder: Path) -> None:
+    """The variants are their takes, larger by 0 and by 2 %, and so are the distances of their contacts."""
+    rows = pq.read_table(folder / "data" / "contacts").to_pandas()
+    held = dict(list(rows.fillna({"variant_id": ""}).groupby(["take_id", "variant_id"])))
+    assert {take for take, _ in held} == {"waltz", "hug", "judo"}
+    clips = pd.read_parquet(folder / "data" / "clips")
+    assert set(clips.fillna({"variant_id": ""}).groupby(["take_id", "variant_id"]).groups) >= set(held)
+    for (take, variant), own in held.items():
+        of_take = held[take, ""]
+        assert set(own["origin"]) == {"variants" if variant else "poses"}
+        same = ["frame", "time_s", "person", "bone", "share", "partner", "partner_bone", "weight", "is_held"]
+        assert own[same].reset_index(drop=True).equals(of_take[same].reset_index(drop=True))
+        factor = 1.0 + VARIANTS.index(variant) / 50 if variant else 1.0
+        for name in ("point_m", "partner_point_m"):
+            expected = factor * np.stack(of_take[name].to_list())
+            np.testing.assert_allclose(np.stack(own[name].to_list()), expected, atol=1e-6)
+        np.testing.assert_allclose(own["gap_m"], factor * of_take["gap_m"].to_numpy(), atol=1e-6)
+
+
 def test_figures_are_those_of_the_rows(folder: Path) -> None:
     stats = json.loads((folder / "stats.json").read_text())
     rows = pd.read_parquet(sorted(folder.glob("data/variants/train-*"))[0])

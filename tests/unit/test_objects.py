@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,13 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
+from tasks.contacts import ContactRows
 from tasks.facts import TakeFacts
 from tasks.ingest import STAGE, IngestParameters
 from tasks.judgements import verdict_of
 from tasks.stage import StageInputs
 from tasks.takes import read_take
-from tests.builders.moving_pairs import swaying_people
+from tests.builders.moving_pairs import swaying_pair, swaying_people
 
 FRAMES = 16
 WRISTS = BODY22.indices(["left_wrist", "right_wrist"])
@@ -116,6 +118,26 @@ def test_hands_on_an_object_are_found_wherever_the_take_lies() -> None:
     np.testing.assert_allclose(lengths, elsewhere, atol=1e-9)
     alone = Source(source.positions_m, 30.0).contacts()
     assert (alone.objects == -1).all()
+
+
+def test_contacts_lie_in_another_motion_where_its_bodies_are() -> None:
+    """B steps back by 5 cm: so far do his contacts with A open, along their line; what is held of the bar stays."""
+    people = swaying_pair(6, apart_m=0.3)
+    bar = np.repeat(people[:, 0, [20, 21]][:, None], 1, axis=1)
+    source = Source(people, 30.0, objects=MovingObjects(("bar",), bar, np.array([0.015])))
+    found = ContactRows.of(source)
+    assert {-1, 0, 1} <= set(found.person.ravel().tolist())
+    again = found.held_in(source)
+    np.testing.assert_allclose(again.points_m, found.points_m, atol=1e-12)
+    np.testing.assert_allclose(again.gap_m, found.gap_m, atol=1e-12)
+    step = np.array([0.0, 0.0, 0.05])
+    moved = people.copy()
+    moved[:, 1] += step
+    held = found.held_in(replace(source, positions_m=moved))
+    np.testing.assert_allclose(held.points_m, found.points_m + (found.person == 1)[..., None] * step, atol=1e-12)
+    of_bar = (found.person == (0, -1)).all(axis=1)
+    np.testing.assert_allclose(held.gap_m[of_bar], found.gap_m[of_bar], atol=1e-12)
+    np.testing.assert_allclose(held.distance_m - held.gap_m, found.distance_m - found.gap_m, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -16,11 +16,13 @@ from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb, shade_of
 from pasdedeux.interaction.contacts import find_contacts
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.plausibility.capsules import capsule_model, standing_m
-from pasdedeux.skeletons import WORKING_SKELETONS, Skeleton
+from pasdedeux.skeletons import BODY22, PAIR17, WORKING_SKELETONS, Skeleton
 from pasdedeux.spread import evenly_spread
 
 THROUGH_M = 0.01
 """Surfaces deeper within each other than this are shown as penetrating: less is cloth and flesh."""
+TOUCH_M = 0.02
+"""Bodies nearer than this touch, on the strip of time: where the weight of a contact begins to fall."""
 MOST_MARKS = 24
 """Contacts and penetrations shown in a frame, of either."""
 _NOWHERE_M = -100.0
@@ -60,6 +62,32 @@ def capsules(ends_m: Array, radii_m: Array) -> Instances:
         balls_m=ends.reshape(-1, 3).astype(np.float32),
         balls_scale=np.repeat(radii, 2).astype(np.float32),
     )
+
+
+GAP = "surface_gap_m"
+"""Name of the curve of how near bodies are."""
+_MOST_GAPS = 3000
+"""Of longer motion frames evenly spread are measured."""
+
+
+def surface_gap_curve(people: People) -> Array | None:
+    """Return the smallest gap between surfaces of two people (frame,), metres; None of one person or another skeleton.
+
+    It is negative where bodies are within each other, and NaN where fewer than two are there.
+    """
+    if people.positions_m.shape[1] < 2 or people.skeleton not in (BODY22, PAIR17):
+        return None
+    radii, gaps = _radii(people), np.full(len(people.positions_m), np.nan)
+    step = -(-len(gaps) // _MOST_GAPS)
+    for frame in range(0, len(gaps), step):
+        positions = people.frame(frame)
+        there = np.flatnonzero(np.isfinite(positions).all(axis=(1, 2)))
+        if len(there) > 1:
+            gaps[frame : frame + step] = min(
+                surface_gaps(positions[list(pair)], radii[list(pair)], people.skeleton).gap_m.min()
+                for pair in combinations(there.tolist(), 2)
+            )
+    return gaps
 
 
 class Bodies:

@@ -1,4 +1,4 @@
-"""Figures over time in the panel: a curve, who is there, and how each frame was judged."""
+"""Figures over time in the panel: a curve, and a strip of who is there, touches and judgements."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from flows.viewing.bodies import THROUGH_M, TOUCH_M
 from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
 from flows.viewing.side import INK, PAPER, flat_picture
@@ -15,7 +16,9 @@ from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
 from pasdedeux.evaluation.shown_figures import figure_label
 
+TICKS = "touch (green), overlap (red); verdicts"
 _WIDTH = 640
+_GREEN, _RED = (20, 160, 60), (220, 20, 60)
 
 
 class Curves:
@@ -28,16 +31,12 @@ class Curves:
     def __init__(self, panel: Panel) -> None:
         self._folder = panel.gui.add_folder("Curve")
         with self._folder:
-            self._strip = panel.gui.add_image(flat_picture([]), label="who is there, and verdicts", visible=False)
             self.chosen = panel.gui.add_dropdown("figure", ("none",))
             self._plot = panel.gui.add_image(flat_picture([]), visible=False)
         self._curves: list[Array] = []
 
     def show(self, scene: Scene) -> None:
-        """Take a figure over the frames, those of other chains beside it, and who is there."""
-        there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
-        self._strip.visible = has_strip = scene.levels is not None or not there.all()
-        self._strip.image = presence_strip(there, scene.levels)
+        """Take a figure over the frames, and those of other chains beside it."""
         known = {}
         for name, curve in scene.curves.items():
             label, factor, _ = figure_label(name)
@@ -47,7 +46,7 @@ class Curves:
         if known and tuple(known) != self.chosen.options:
             self.chosen.options = tuple(known)
         self.chosen.visible = self._plot.visible = bool(known)
-        self._folder.visible = bool(known) or has_strip
+        self._folder.visible = bool(known)
         others = scene.others if known and self.chosen.value == next(iter(known)) else ()
         self._curves = [*others, known[str(self.chosen.value)]] if known else []
 
@@ -57,14 +56,27 @@ class Curves:
             self._plot.image = plot_curves(self._curves, frame)
 
 
-def presence_strip(is_there: Flags, levels: Integers | None) -> Array:
-    """Return who is there (frame, person) and how each frame was judged (frame,) as a strip, time to the right."""
-    rows = [
-        np.where(is_there[:, p, None], rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)]), PAPER)
-        for p in range(is_there.shape[1])
-    ]
+def time_strip(is_there: Flags, levels: Integers | None, gap_m: Array | None) -> Array | None:
+    """Return what is where in time as a strip, time to the right; None of nothing.
+
+    Args:
+        is_there: Who is there (frame, person): a row each, where somebody is not always.
+        levels: How each frame was judged (frame,): green, amber or red.
+        gap_m: Smallest gap of bodies (frame,), metres: green while they touch, red while they are within each other.
+    """
+    rows: list[Array] = []
+    if not is_there.all():
+        rows += [
+            np.where(is_there[:, p, None], rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)]), PAPER)
+            for p in range(is_there.shape[1])
+        ]
+    if gap_m is not None:
+        near = np.select([gap_m < -THROUGH_M, gap_m < TOUCH_M], [2, 1], 0)
+        rows.append(np.array([(PAPER,) * 3, _GREEN, _RED])[near])
     if levels is not None:
-        rows.append(np.array([(120, 170, 120), (230, 170, 40), (200, 30, 50)])[levels])
+        rows.append(np.array([(170, 200, 170), (230, 170, 40), _RED])[levels])
+    if not rows:
+        return None
     columns = np.linspace(0, len(is_there) - 1, _WIDTH).round().astype(int)
     return np.repeat(np.stack(rows)[:, columns], 12, axis=0).astype(np.uint8)
 

@@ -34,7 +34,7 @@ class Listing:
         self._shelf, self._curation, self._offered = shelf, curation, offered
         with panel.gui.add_folder("Filter and sort", expand_by_default=False):
             self.only = panel.gui.add_dropdown("only", ONLY)
-            self.by = panel.gui.add_dropdown("largest first", (STORED_ORDER,))
+            self.by = panel.gui.add_dropdown("sort by, largest first", (STORED_ORDER,))
         self.order: list[int] = []
         """Numbers of the items that are listed."""
 
@@ -79,12 +79,10 @@ class Listing:
         """Return the figures of an item as the store has them."""
         return self._figures.get(item.names, {})
 
-    def lines(self, item: Item, facts: Sequence[str]) -> list[str]:
-        """Return what is known of an item, a line each: why it is judged so, facts, figures."""
+    def figure_lines(self, item: Item) -> list[str]:
+        """Return the figures of an item over all its frames, a line each."""
         row = self.figures(item)
-        figures = [figure_words(name, value) for name, value in row.items() if _is_figure(self._part, name, value)]
-        heading = ["all frames together:"] if figures else []
-        return [*filter(None, [str(row.get("reason") or "")]), *facts, *heading, *figures]
+        return [figure_words(name, value) for name, value in row.items() if _is_figure(self._part, name, value)]
 
     def _chosen(self, index: int) -> str:
         return self._curation.of_item(self._part, self.items[index])

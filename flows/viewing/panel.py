@@ -26,12 +26,13 @@ class Panel:
 
     def add_message(self) -> None:
         """Add the widget with messages."""
-        self.message = self.gui.add_text("message", "", multiline=True, disabled=True)
+        self.message = self.gui.add_text("message", "", multiline=True, disabled=True, visible=False)
 
     def tell(self, text: str) -> None:
-        """Show a message of one line."""
+        """Show a message of one line; the widget is there while there is one."""
         if self.message is not None:
-            self.message.value = text
+            set_value(self.message, text)
+            self.message.visible = bool(text)
 
     def bind(self, label: str, key: str, action: Callable[..., None]) -> None:
         """Bind a key to an action."""

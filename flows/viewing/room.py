@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,14 +11,24 @@ from scipy.spatial.transform import Rotation
 
 from flows.viewing.bodies import Bodies, marker_balls, marks
 from flows.viewing.panel import Panel
-from flows.viewing.scene import Scene
+from flows.viewing.scene import People, Scene
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.spread import evenly_spread
 
-COMPARE = ("over", "beside", "hidden")
+COMPARE = ("overlay", "beside", "hidden")
 """Where what a scene is compared with stands."""
+VIEWS = {"side": (0.0, 0.4, 3.4), "front": (3.4, 0.4, 0.0), "top": (0.0, 3.4, 0.02)}
+"""Where two people are looked at from, metres: along the line between them, up, and across that line."""
 _MARK_M = 0.035
+_SEEN_THROUGH = 0.6
+"""Opacity of bodies while contacts or penetrations are marked, most of which lie within them."""
 _APART_M = 0.5
+MOST_BESIDE = 4
+"""Items that are shown side by side, at most."""
+_BESIDE_M = 1.8
+_OVER_M = 1.1
+"""The name of an item stands so far above the middle of its people."""
 _MOVED_M = 2.0
 """Cameras follow where people are further than this from those before; up and down counts more."""
 _UP_COUNTS = 4.0
@@ -30,6 +41,8 @@ _AMBIENT = 1.0
 _DARKER = 1.5
 """Exponent of colours: the lights of the room make them paler."""
 _LINE = (200, 200, 200)
+_MOST_FRAMES = 200
+"""Frames in which the two nearest are looked for, evenly spread."""
 _CAMERA_M = 0.15
 """Depth of the outline that stands for a camera."""
 _NO_POINTS = np.empty((0, 3))
@@ -57,8 +70,9 @@ class Room:
         self._groups: set[str] = set()
         # A rod along z, of radius and length 1; its ends are in balls.
         self._rod, self._ball, self._mark = _surface(np.ones(2), np.array([-0.5, 0.5]), 20), _ball(16), _ball(8)
-        self._middle = np.full(3, np.inf)
+        self._middle, self._across = np.full(3, np.inf), np.array([0.0, 1.0])
         self._grey: _Put | None = None
+        self._more: list[tuple[_Put, Bodies, Scene]] = []
         server.scene.set_up_direction("+y")
         # Browsers that draw by software take three times as long with reflections, shadows and a shaded floor.
         server.scene.configure_environment_map(None)
@@ -66,8 +80,11 @@ class Room:
         server.scene.add_light_ambient("/light", intensity=_AMBIENT)
         server.on_client_connect(panel.safely(self._aim, is_alone=False))
 
-    def show(self, shown: Scene, where: str) -> None:
-        """Put floor, bodies and camera of a scene into the room, and what it is compared with over or beside it."""
+    def show(self, shown: Scene, where: str, more: Mapping[str, Scene] | None = None) -> None:
+        """Put floor, bodies and camera of a scene into the room, and what it is compared with over or beside it.
+
+        Further scenes stand beside it by turns, with their names over them.
+        """
         scene, points = self._server.scene, shown.people.positions_m
         self._scene, self._bodies = shown, Bodies(shown.people, shown.ends_m, shown.radii_m, is_thin=shown.is_flat)
         self._behind = None if shown.behind is None else Bodies(shown.behind)
@@ -77,6 +94,7 @@ class Room:
         middle = np.array([np.round((low[0] + high[0]) / 2), floor, np.round((low[2] + high[2]) / 2)])
         size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
         scene.add_line_segments("/floor", _grid(size), _LINE, thickness=1.5, thickness_units="screen", position=middle)
+        self._across = across(shown.people)
         first = points[np.argmax(np.isfinite(points[..., 0]).any(axis=(1, 2)))].reshape(-1, 3)  # with somebody
         start = np.nan_to_num(first[np.isfinite(first).all(axis=-1)].mean(axis=0)) if np.isfinite(first).any() else low
         middle = np.array([start[0], floor + 0.9, start[2]])
@@ -91,10 +109,18 @@ class Room:
         both = np.repeat(np.array(list(_COLOURS.values()), dtype=np.uint8), len(places) // 2, axis=0)
         self._marks = self._instances("/marks/balls", places, sizes, both)
         self._grey = None
+        apart = max(float(high[0] - low[0]), float(high[2] - low[2])) + _APART_M if where == "beside" else 0.0
         if self._behind is not None and where != "hidden":
-            away = float(high[0] - low[0]) + _APART_M if where == "beside" else 0.0
-            more = {} if where == "beside" else {"opacity": 0.3}
-            self._grey = self._put_bodies(f"/{where}", self._behind, _GREY, away, **more)
+            opacity = {} if apart else {"opacity": 0.3}
+            self._grey = self._put_bodies(f"/{where}", self._behind, _GREY, apart, **opacity)
+        self._more = []
+        for number, (label, one) in enumerate((more or {}).items(), 1):
+            bodies, away = Bodies(one.people), _BESIDE_M * ((number + 1) // 2) * (1 if number % 2 else -1)
+            self._more.append((self._put_bodies(f"/more{number}", bodies, None, away), bodies, one))
+            over = self._middle + self._to_right(away) + [0.0, _OVER_M, 0.0]
+            scene.add_label(f"/names/{number}", label, position=over, anchor="bottom-center")
+        for number in range(len(self._more) + 1, MOST_BESIDE):
+            self._show_node(f"/names/{number}", is_shown=False)
         self._show_node("/film", is_shown=False)
         self._film: Any = None
         self._show_node("/camera", is_shown=shown.camera is not None)
@@ -123,8 +149,12 @@ class Room:
             _move(self._people, self._bodies, frame, pose)
             if self._behind is not None and self._grey is not None and scene.behind is not None:
                 _move(self._grey, self._behind, min(frame, len(scene.behind.positions_m) - 1))
+            for put, bodies, one in self._more:
+                _move(put, bodies, min(frame, one.num_frames - 1))
             places, sizes = marker_balls((touch, through), _MARK_M)
             _place(self._marks, places, None, sizes)
+            for skin in self._people.skins:
+                set_opacity(skin, _SEEN_THROUGH if len(touch) + len(through) else None)
         return len(touch), len(through)
 
     def show_film(self, image: Array | None) -> None:
@@ -158,7 +188,7 @@ class Room:
             self._groups.add(name)
             self._server.scene.add_frame(name, show_axes=False)
         frame = self._server.scene.get_handle_by_name(name)
-        frame.visible, frame.position = True, (away, 0.0, 0.0)
+        frame.visible, frame.position = True, self._to_right(away)
         skins = []
         for at, (body, colour) in enumerate(zip(bodies.skins, bodies.person_colours(grey), strict=True)):
             upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(body.rest_m), 1))
@@ -204,8 +234,45 @@ class Room:
         is_narrow = client.camera.image_width < client.camera.image_height
         with client.atomic():
             client.camera.fov = _FOV_RAD
-            client.camera.position = self._middle + ([0.0, 0.6, 7.0] if is_narrow else [0.5, 0.7, 3.4])
-            client.camera.look_at = self._middle + ([0.0, -2.4, 0.0] if is_narrow else [0.5, -0.1, 0.0])
+            client.camera.position = self._place(*((0.0, 0.6, 7.0) if is_narrow else (0.5, 0.7, 3.4)))
+            client.camera.look_at = self._place(*((0.0, -2.4, 0.0) if is_narrow else (0.5, -0.1, 0.0)))
+
+    def view(self, client: Any, name: str) -> None:
+        """Turn a browser's camera to the people from one of `VIEWS`."""
+        with client.atomic():
+            client.camera.position, client.camera.look_at = self._place(*VIEWS[name]), self._middle
+
+    def _to_right(self, away: float) -> Array:
+        """Return a way along the line between the two people, to the right of who looks across it."""
+        return away * np.array([self._across[1], 0.0, -self._across[0]])
+
+    def _place(self, right: float, up: float, near: float) -> Array:
+        """Return a place about the middle of the people, metres: near to who looks across the line between the two."""
+        x, z = self._across
+        return np.asarray(self._middle + np.array([right * z + near * x, up, near * z - right * x]))
+
+
+def across(people: People) -> Array:
+    """Return the horizontal direction (x, z) of length 1 across the line between the first two people, where z > 0.
+
+    Of the frame in which they are nearest to each other; (0, 1) where there are fewer.
+    """
+    every = people.positions_m
+    frames = evenly_spread(len(every), _MOST_FRAMES)
+    if every.shape[1] < 2 or not np.isfinite(every[frames, :2]).all(axis=(1, 2, 3)).any():
+        return np.array([0.0, 1.0])
+    pairs = every[frames, :2].astype(np.float64)
+    away = np.linalg.norm(pairs[:, 0, :, None] - pairs[:, 1, None], axis=-1).min(axis=(1, 2))
+    one, other = np.nanmean(pairs[int(np.nanargmin(away))], axis=1)[:, [0, 2]]
+    line = (other - one) / max(float(np.linalg.norm(other - one)), 1e-9)
+    direction = np.array([-line[1], line[0]])
+    return direction if direction[1] > 0 else -direction if line.any() else np.array([0.0, 1.0])
+
+
+def set_opacity(skin: Any, opacity: float | None) -> None:
+    """Give a skin an opacity if it has another one."""
+    if skin.opacity != opacity:
+        skin.opacity = opacity
 
 
 def _grid(size: float) -> Array:

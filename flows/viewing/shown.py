@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+
+from flows.viewing.bodies import GAP
+from flows.viewing.curves import TICKS, time_strip
 from flows.viewing.panel import Panel, set_value
-from flows.viewing.room import COMPARE
+from flows.viewing.room import COMPARE, MOST_BESIDE, VIEWS
 from flows.viewing.scene import Scene
 from flows.viewing.session import Session
 from flows.viewing.shelf import Part
-from flows.viewing.side import SidePicture
+from flows.viewing.side import SidePicture, flat_picture
+
+MOST_FIGURES = 6
+"""Figures of an item that are shown at once; the others are folded away."""
+
+
+class Folded:
+    """Text in a folder that is closed, and there only while there is some."""
+
+    def __init__(self, gui: Any, label: str) -> None:
+        self._folder = gui.add_folder(label, expand_by_default=False, visible=False)
+        with self._folder:
+            self._text = gui.add_text("", "", multiline=True, disabled=True)
+
+    def show(self, lines: Sequence[str]) -> None:
+        """Show lines."""
+        set_value(self._text, "\n".join(lines))
+        self._folder.visible = bool(lines)
 
 
 @dataclass(frozen=True)
@@ -21,9 +43,13 @@ class ShownPane:
     item: Any
     play: Any
     timeline: Any
+    ticks: Any
     facts: Any
+    more: Folded
+    view: Any
     side: SidePicture
     compare: Any
+    beside: Any
     failing: Any
     through: Any
     nearest: Any
@@ -38,9 +64,13 @@ class ShownPane:
             item=gui.add_dropdown("item", ("none",)),
             play=panel.button("Play", lambda _: viewer.play(), "space"),
             timeline=gui.add_slider("frame", 0, 1, 1, initial_value=0),
+            ticks=gui.add_image(flat_picture([]), label=TICKS, visible=False),
             facts=gui.add_text("about", "", multiline=True, disabled=True),
+            more=Folded(gui, "More figures"),
             side=SidePicture(gui),
+            view=gui.add_button_group("view", tuple(VIEWS)),
             compare=gui.add_dropdown("compare", COMPARE),
+            beside=gui.add_dropdown("side by side", tuple(map(str, range(1, MOST_BESIDE + 1)))),
             failing=panel.button("Next failing frame", lambda _: viewer.next_failing(), "F"),
             through=panel.button("Look through its camera", lambda event: viewer.room.look_through(event.client)),
             nearest=gui.add_checkbox("nearest poses of the database", initial_value=False),
@@ -51,7 +81,9 @@ class ShownPane:
         change(pane.part, lambda value: viewer.show_part(viewer.shelf.parts[pane.part.options.index(value)]))
         change(pane.item, lambda value: viewer.show_item(viewer.listing.order[pane.item.options.index(value)]))
         change(pane.timeline, lambda value: viewer.step(int(value) - viewer.frame))
-        change(pane.compare, lambda _: viewer.show_item(viewer.index, viewer.moment.row))
+        pane.view.on_click(panel.safely(lambda event: viewer.room.view(event.client, event.target.value)))
+        for widget in (pane.compare, pane.beside):
+            change(widget, lambda _: viewer.show_item(viewer.index, viewer.moment.row))
         for widget in (pane.film, pane.nearest):
             change(widget, lambda _: viewer.look())
         steps = {"arrowleft": ("One frame back", -1), "arrowright": ("One frame on", 1)}
@@ -72,7 +104,12 @@ class ShownPane:
         needed = {"compare": scene.behind, "through": scene.camera, "failing": scene.levels, "film": scene.film}
         for name, value in {**needed, "nearest": scene.nearest}.items():
             getattr(self, name).visible = value is not None
-        self.compare.label = scene.behind_name or "compare"
+        self.compare.label = f"compare with {scene.behind_name}" if scene.behind_name else "compare"
+        there = np.asarray(np.isfinite(scene.people.positions_m).all(axis=(2, 3)))
+        strip = time_strip(there, scene.levels, scene.curves.get(GAP))
+        self.ticks.visible = strip is not None
+        if strip is not None:
+            self.ticks.image = strip
         self.timeline.max = max(scene.num_frames - 1, 1)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow
 
+from flows.viewing.bodies import GAP, surface_gap_curve
 from flows.viewing.choices import ChoicesPane
 from flows.viewing.curating import Curation, Moment
 from flows.viewing.curves import Curves
@@ -26,7 +27,7 @@ from flows.viewing.scales import Scales
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, moment_in
-from flows.viewing.shown import ShownPane, part_label
+from flows.viewing.shown import MOST_FIGURES, ShownPane, part_label
 from flows.viewing.side import Pointer, SidePicture
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.shown_figures import figure_words
@@ -134,13 +135,16 @@ class Viewer:
 
     def _show_item(self, index: int, scene: Scene, row: int | None) -> None:
         self.index, self.pose, self.image_px = index, None, None
-        set_value(self.panel.message, "")  # the message was about another item
+        self.panel.tell("")  # the message was about another item
         self._show_scene(scene, row)
         pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
 
     def _read(self, part: Part, index: int) -> Scene:
         scene = KINDS[part.table].scene(self.shelf, part, self.shelf.items(part)[index])
-        return replace(scene, people=scene.flat, camera=None) if self.wants_flat and scene.flat else scene
+        if self.wants_flat and scene.flat:
+            return replace(scene, people=scene.flat, camera=None)
+        gaps = None if scene.rate_hz is None or scene.is_flat else surface_gap_curve(scene.people)
+        return scene if gaps is None else replace(scene, curves={**scene.curves, GAP: gaps})
 
     def show_beside(self, pair_m: Array, before_m: Array) -> None:
         """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
@@ -157,13 +161,19 @@ class Viewer:
             self.side.flats = ()  # what it shows yet is of something else
             self.curation.begin()
             self.listing.mark(self.index)
-            self.room.show(scene, str(self.shown.compare.value))
+            self.room.show(scene, str(self.shown.compare.value), self._beside())
             self.curves.show(scene)
             self.shown.show(scene)
             self.choices.show(self.part.table)
             scales = {at: self.listing.figures(item).get("bone_scale") for at, item in enumerate(self.listing.items)}
             self.scales.offer({at: scale for at, scale in scales.items() if scale is not None}, self.index)
             self.seek(0 if row is None else int(scene.frame_of_row[row]))
+
+    def _beside(self) -> dict[str, Scene]:
+        """Return the next items of the list by their labels, as many as are to be shown beside this one."""
+        wanted = [self.listing.after(self.index, by) for by in range(1, int(self.shown.beside.value))]
+        others = [at for at in dict.fromkeys(wanted) if at is not None and at != self.index]
+        return {self.listing.label(at): self._read(self.part, at) for at in others}
 
     def step_item(self, by: int) -> None:
         """Go to another item, in the order of the list."""
@@ -273,8 +283,11 @@ class Viewer:
             lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
             if not scene.is_flat and self.playing.marks.value:
                 lines.append("{} contacts, {} penetrations".format(*self._num_marks))
-            lines += [*self.curation.lines(moment), *self.listing.lines(moment.item, scene.facts)]
-            set_value(self.shown.facts, "\n".join(lines))
+            lines += [*self.curation.lines(moment), *scene.facts]
+            figures = self.listing.figure_lines(moment.item)
+            reason = str(self.listing.figures(moment.item).get("reason") or "")
+            set_value(self.shown.facts, "\n".join([*lines, *filter(None, [reason]), *figures[:MOST_FIGURES]]))
+            self.shown.more.show(figures[MOST_FIGURES:])
             self.link.show(self)
             self.curves.draw(frame)
             is_skipped = self.is_playing and scene.rate_hz is None

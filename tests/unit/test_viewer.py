@@ -23,12 +23,13 @@ from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
 from flows.exports.overlay_video import Footage
-from flows.viewing.bodies import Bodies, capsules, marks
-from flows.viewing.curves import plot_curves
+from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
+from flows.viewing.curves import plot_curves, time_strip
 from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
 from flows.viewing.kinds import KINDS
 from flows.viewing.listing import qualities
+from flows.viewing.room import across
 from flows.viewing.saving import LinkPane, encode, encode_clip, save_clip
 from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.seen import LIMBS17, LIMBS22, Seen
@@ -38,6 +39,7 @@ from flows.viewing.viewer import Viewer
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import KeypointStatus
+from pasdedeux.plausibility.capsules import standing_m
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Manifest, Store, new_run
@@ -232,6 +234,51 @@ def test_keys_step_by_one_frame_or_item_forth_and_back(store: Store, monkeypatch
         keys[key](None)
     shown.stop()
     assert steps == [-1, 1, ("item", -1), ("item", 1)]
+
+
+def turned_pair(angle_rad: float, away_m: float) -> People:
+    """Return two T-poses side by side on a line that is turned about the vertical, (2, 2, 22, 3)."""
+    one = 1.7 * standing_m(BODY22)
+    pair = np.stack([one, one + [away_m, 0.0, 0.0]])
+    turn = Rotation.from_rotvec([0.0, angle_rad, 0.0]).as_matrix()
+    return People(BODY22, np.stack([pair @ turn.T, (pair + [0.0, 0.0, 9.0]) @ turn.T]))
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.5, 2.0, -2.5])
+def test_the_first_view_is_across_the_line_between_two_people(angle_rad: float) -> None:
+    people = turned_pair(angle_rad, 2.5)
+    line = people.positions_m[0, 1, 0] - people.positions_m[0, 0, 0]
+    direction = across(people)
+    assert abs(line[[0, 2]] @ direction) < 1e-6
+    assert np.linalg.norm(direction) == pytest.approx(1.0)
+    np.testing.assert_array_equal(across(People(BODY22, people.positions_m[:, :1])), [0.0, 1.0])
+
+
+def test_the_gap_between_two_bodies_is_that_of_their_surfaces_and_negative_within_each_other() -> None:
+    wide, near = surface_gap_curve(turned_pair(0.3, 2.5)), surface_gap_curve(turned_pair(0.3, 0.1))
+    assert wide is not None
+    assert near is not None
+    assert wide.shape == (2,)
+    assert 0.3 < wide[0] < 2.5
+    assert near[0] < 0.0
+    assert surface_gap_curve(People(BODY22, turned_pair(0.0, 1.0).positions_m[:, :1])) is None
+    strip = time_strip(np.ones((2, 2), bool), None, np.array([0.5, -0.05]))
+    assert strip is not None
+    assert [tuple(strip[0, at]) for at in (0, -1)] == [(250, 250, 250), (220, 20, 60)]
+    assert time_strip(np.ones((2, 2), bool), None, None) is None
+
+
+def test_the_message_is_there_while_there_is_one_and_items_stand_side_by_side(viewer: Viewer) -> None:
+    viewer.panel.tell("something")
+    assert viewer.panel.message.visible
+    viewer.shown.beside.value = "4"
+    viewer.show_item(0)
+    assert not viewer.panel.message.visible
+    shown = [one for one, _, _ in viewer.room._more]
+    assert len(shown) == min(4, len(viewer.listing.order)) - 1
+    viewer.shown.beside.value = "1"
+    viewer.show_item(0)
+    assert viewer.room._more == []
 
 
 class Broken:

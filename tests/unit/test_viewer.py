@@ -239,9 +239,9 @@ def test_keys_step_by_one_frame_or_item_forth_and_back(store: Store, monkeypatch
 def turned_pair(angle_rad: float, away_m: float) -> People:
     """Return two T-poses side by side on a line that is turned about the vertical, (2, 2, 22, 3)."""
     one = 1.7 * standing_m(BODY22)
-    pair = np.stack([one, one + [away_m, 0.0, 0.0]])
+    pair = np.stack([one, one + np.array([away_m, 0.0, 0.0])])
     turn = Rotation.from_rotvec([0.0, angle_rad, 0.0]).as_matrix()
-    return People(BODY22, np.stack([pair @ turn.T, (pair + [0.0, 0.0, 9.0]) @ turn.T]))
+    return People(BODY22, np.stack([pair @ turn.T, (pair + np.array([0.0, 0.0, 9.0])) @ turn.T]))
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.5, 2.0, -2.5])

@@ -20,13 +20,14 @@ from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, re
 from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.camera_motions import read_camera_motion
 from tasks.committing import commit, join_columns
 from tasks.facts import MotionFacts, SequenceFacts, merge_takes, shares_takes
 from tasks.kept import kept
 from tasks.projections import clusters_of, read_cameras, read_clusters, read_pairs, read_searched
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 
-RECONSTRUCTION = StageName("reconstruction", 23)
+RECONSTRUCTION = StageName("reconstruction", 24)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""
@@ -172,14 +173,15 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[Track], list[str]]:
-    """Return the tracks of a sequence, by person, and why there are none if it is no video."""
+    """Return the tracks of a sequence in its steady image, by person, and why there are none if it is no video."""
     table = store.read(ref, "annotations", columns=["sequence_id", *TRACK_COLUMNS])
     frames = np.asarray(table["frame"])[table["sequence_id"] == sequence_id]
     # What ingest decided counts: stills numbered one by one look like a video by their numbers alone.
     decided = SequenceFacts.of(store.manifest(ref)).why_no_video.get(sequence_id)
     if reason := decided or (why_no_video(frames) if len(frames) else ""):
         return [], [reason]
-    return tracks_of({name: table[name] for name in table}, sequence_id), []
+    motion = read_camera_motion(store, ref, sequence_id)
+    return [track.steadied(motion) for track in tracks_of({name: table[name] for name in table}, sequence_id)], []
 
 
 def _database(

@@ -142,7 +142,8 @@ def _reconstruct_video(
     def reconstruct(resolved: ResolvedPeople, sequence: SequencePeople) -> None:
         if sequence.why_not_followed:
             raise InputError(sequence.why_not_followed)
-        tracks = tracks_of(track_columns(resolved), sequence.sequence_id)
+        motion = resolved.frames.camera_motion.get(sequence.sequence_id)
+        tracks = [track.steadied(motion) for track in tracks_of(track_columns(resolved), sequence.sequence_id)]
         known = [track.person_id for track in tracks]
         if unknown := sorted(set(person_ids) - set(known)):
             raise InputError(f"person {unknown[0]} is not in it; people: {', '.join(map(str, known)) or 'none'}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, NobodyError
+from pasdedeux.film.camera import LOST, CameraFollower
 from pasdedeux.film.filling import FilledPoints, fill_points, shorten_limbs
 from pasdedeux.film.tracking import TRACKED_SIZE_PX, Image, Tracks, track_points
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
@@ -93,17 +94,31 @@ def annotate_shot(
     scale = min(1.0, TRACKED_SIZE_PX / float(size.max()))
     points, sizes = shape[1] * shape[2], np.repeat(size, shape[2])
     flat = known.reshape(num_frames, points, 2)
+    follower = CameraFollower(_boxes(known, scale))
+
+    def passing() -> Iterator[Image]:
+        for image in images:
+            grey = _grey(image, scale)
+            follower.add(grey)
+            yield grey
+
     # Pixel centres: the middle of a pixel of the smaller image is the middle of those it stands for.
     tracks = track_points(
-        (_grey(image, scale) for image in images),
+        passing(),
         (flat + 0.5) * scale - 0.5,
         confidence.reshape(num_frames, points) > MIN_SEEN,
         sizes * scale,
         is_checked=not is_key,
     )
-    tracks = Tracks(*((track + 0.5) / scale - 0.5 for track in (tracks.forward, tracks.backward)))
+    found, is_lost = follower.motion(first_frame)
+    motion = None if found is None else found.resized(1.0 / scale)
+
+    def steady(px: Array) -> Array:
+        return px if motion is None else motion.steady_px(motion.frames, px)
+
+    tracks = Tracks(*(steady((track + 0.5) / scale - 0.5) for track in (tracks.forward, tracks.backward)))
     filled = fill_points(
-        flat,
+        steady(flat),
         confidence.reshape(num_frames, points),
         kind.reshape(num_frames, points),
         tracks,
@@ -111,7 +126,14 @@ def annotate_shot(
         rate_hz=given.rate_hz,
         is_hidden=is_hidden.reshape(num_frames, points),
     )
-    return _rows(given, replace(filled, px=shorten_limbs(filled, names)), first_frame, people)
+    px = shorten_limbs(filled, names)
+    px = px if motion is None else np.where(np.isfinite(flat), flat, motion.image_px(motion.frames, px))
+    given = replace(
+        given,
+        camera_motion={} if motion is None else {given.sequence_id[0]: motion},
+        doubts=(*given.doubts, *((LOST,) if is_lost else ())),
+    )
+    return _rows(given, replace(filled, px=px), first_frame, people)
 
 
 def correct_keypoint(
@@ -190,6 +212,20 @@ def _rows(given: AnnotatedFrames, filled: FilledPoints, first_frame: int, people
         has_identities=True,
     )
     return AnnotatedShot(frames, filled.doubt.reshape(shape)[frame, person].max(axis=1))
+
+
+def _boxes(known_px: Array, scale: float) -> Array:
+    """Return the boxes (frame, person, 2, 2) of people in the smaller image, between the frames that show them."""
+    is_known = np.isfinite(known_px[..., 0])
+    boxes = np.full((*known_px.shape[:2], 2, 2), np.nan)
+    frames = np.arange(len(known_px))
+    for person in range(known_px.shape[1]):
+        shown = np.flatnonzero(is_known[:, person].any(axis=-1))
+        for end, take in enumerate((np.nanmin, np.nanmax) if len(shown) else ()):
+            corner = take(known_px[shown, person], axis=1)
+            for axis in range(2):
+                boxes[:, person, end, axis] = np.interp(frames, shown, corner[:, axis])
+    return scale * boxes
 
 
 def _grey(image: Image, scale: float) -> Image:

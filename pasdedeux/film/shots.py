@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.film.tracking import Image
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.camera_motion import CameraMotion
 
 _THUMB = (32, 24)
 _MIN_CHANGE = 0.05
@@ -106,4 +107,16 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
         ),
         status=None if frames.status is None else frames.status[nearest],
         rate_hz=rate_hz,
+        camera_motion=_placed(frames, number, first_frame, time_s, rate_hz),
     )
+
+
+def _placed(
+    frames: AnnotatedFrames, number: Integers, first_frame: int, time_s: Array, rate_hz: float
+) -> dict[str, CameraMotion]:
+    """Return the motion of the camera at the frames of a constant rate."""
+    if not len(number):
+        return {}
+    wanted = np.arange(number.min(), number.max() + 1)
+    places = first_frame + np.interp(wanted / rate_hz, time_s, np.arange(len(time_s)))
+    return {name: motion.at_times(wanted, places) for name, motion in frames.camera_motion.items()}

@@ -13,6 +13,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import FormatError, InputError, NobodyError
+from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, USUAL_LAYOUTS, KeypointLayout
 
@@ -104,6 +105,8 @@ class AnnotatedFrames:
         status: (row, K) of `KeypointStatus`, where keypoints come from; None where the source does not say.
         remarks: What a user should know of how it was read, in words.
         doubts: What may be wrong with it, in words.
+        camera_motion: How the camera moves, by sequence, of those of film in which it does; keypoints are still those
+            of the images.
     """
 
     layout: str
@@ -120,6 +123,7 @@ class AnnotatedFrames:
     status: Integers | None = None
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    camera_motion: Mapping[str, CameraMotion] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -216,6 +220,7 @@ def join_frames(parts: Sequence[AnnotatedFrames]) -> AnnotatedFrames:
         status=np.concatenate(statuses) if len(statuses) == len(parts) else None,
         image_size_px={name: size for part in parts for name, size in part.image_size_px.items()},
         focal_px={name: focal for part in parts for name, focal in part.focal_px.items()},
+        camera_motion={name: motion for part in reversed(parts) for name, motion in part.camera_motion.items()},
     )
 
 

@@ -28,6 +28,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import ProjectionIndex
 from pasdedeux.reconstruction.lying import is_on_floor
+from pasdedeux.reconstruction.moving_camera import moving_camera_doubt
 from pasdedeux.reconstruction.people import ReconstructedPeople
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, ReconstructedTrack
@@ -101,6 +102,7 @@ class Reliability:
         doubts: Further reasons for a warning, such as those about the camera.
         farthest_s: Time of the video at which the database is farthest from the image.
         is_unproven: Only the poses of the database tell where up is, so that it must not lack the motion.
+        is_moved: The camera seems to move, which is taken for motion of the people.
         evidence: The log of the expected error is a weighted sum of these (n,).
     """
 
@@ -112,6 +114,7 @@ class Reliability:
     doubts: tuple[str, ...] = ()
     farthest_s: float = float("nan")
     is_unproven: bool = False
+    is_moved: bool = False
     evidence: Array = field(default_factory=lambda: np.zeros(0), compare=False)
 
     @property
@@ -144,7 +147,7 @@ class Reliability:
             reasons.append(f"{self.share_seen:.0%} of the joints are seen")
         if self.share_bridged > MAX_BRIDGED:
             reasons.append(f"{self.share_bridged:.0%} of the frames show too little and are interpolated")
-        is_bad = is_far or self.share_seen < USELESS_SHARE_SEEN
+        is_bad = is_far or self.is_moved or self.share_seen < USELESS_SHARE_SEEN
         reasons += self.doubts
         level = Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS
         figure = ("expected error", self.expected_error_m, "m")
@@ -158,8 +161,8 @@ class Place:
     Args:
         expected_error_m: Expected error of the vector between the mid-hips, mean over frames.
         doubts: Further reasons for a warning, such as those about the camera.
-        is_unproven: The video is too short, nobody stands, or it may show something else: nothing tells where the
-            camera is.
+        is_unproven: The video is too short, nobody stands, the camera moves, or it may show something else: nothing
+            tells where the camera is.
         evidence: The log of the expected error is a weighted sum of these (n,).
     """
 
@@ -224,7 +227,8 @@ def judge_tracks(
     longest_s = max(len(person.track.frames) / person.track.rate_hz for person in made)
     is_short = longest_s < MIN_LENGTH_S
     shared = [f"{longest_s:.1f} s are too short to tell camera and places from"] if is_short else []
-    shared += [*people.doubts, *camera_doubt(pitches_rad, pitch)]
+    moved = moving_camera_doubt([person.track for person in made])
+    shared += [moved] * bool(moved) + [*people.doubts, *camera_doubt(pitches_rad, pitch)]
     broken = broken_doubts(sequence_id, [person.track for person in made])
     doubts = {
         name: [told[name] for told in (people.otherwise, broken) if name in told]
@@ -243,7 +247,7 @@ def judge_tracks(
         )
         factor = max(at_edge, _OTHERWISE if name in people.otherwise else 1.0) * (_SIZED if people.has_stature else 1.0)
         expected_m = min(factor * reliability.expected_error_m, _MAX_EXPECTED_M)
-        judged[name] = replace(reliability, expected_error_m=expected_m)
+        judged[name] = replace(reliability, expected_error_m=expected_m, is_moved=bool(moved))
     places: dict[tuple[int, int], Place] = {}
     between = {} if people.scene is None else people.scene.place_deviation_m
     for numbers, deviation_m in between.items():
@@ -266,7 +270,7 @@ def judge_tracks(
         places[ids] = replace(
             place,
             expected_error_m=(_PLACE_SIZED if people.has_stature else 1.0) * place.expected_error_m,
-            is_unproven=is_short or pitch.is_guess or any(name in people.otherwise for name in ids),
+            is_unproven=is_short or bool(moved) or pitch.is_guess or any(name in people.otherwise for name in ids),
         )
     return Judged(judged, places)
 

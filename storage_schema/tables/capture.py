@@ -148,6 +148,32 @@ ANNOTATIONS = Table(
     ),
 )
 
+CAMERA_MOTIONS = Table(
+    name="camera_motions",
+    meaning="One row per frame of film whose camera turns or zooms, beside its typical direction and zoom.",
+    sorted_by=("sequence_id", "frame"),
+    columns=(
+        SEQUENCE_ID,
+        FRAME,
+        array(
+            "steady_from_image",
+            "Similarity from pixels of the frame to those of the steady image, in which reconstruction works",
+            axes={"row": 2, "column": 3},
+            dtype=pa.float64(),
+        ),
+        array(
+            "displacement_px",
+            "Where the middle of the frame is in the steady image, from its middle: right by pan, down by tilt",
+            axes={"xy": 2},
+            unit="px",
+            dtype=pa.float64(),
+        ),
+        float64("roll_rad", "How far the steady image is turned against the frame, clockwise", unit="rad"),
+        float64("zoom", "Magnification beside the steady image"),
+        *IMAGE_SIZE,
+    ),
+)
+
 CAMERAS = Table(
     name="cameras",
     meaning="One row per sequence of virtual video: the true camera and the take it saw.",

@@ -60,7 +60,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 STAGE = Stage(
     *INGEST,
     reads=(),
-    writes=("takes", "take_quality", "poses", "objects", "annotations", "cameras"),
+    writes=("takes", "take_quality", "poses", "objects", "annotations", "cameras", "camera_motions"),
     parameters=IngestParameters,
     plan=plan,
     run_shard=run_shard,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -17,7 +17,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
-from pasdedeux.kinematics.rotations import rotmat_from_unitquat
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
@@ -94,11 +94,15 @@ def render(
     size: tuple[int, int] = (640, 480),
     yaw_rad: float = 0.5,
     turn_rad: float = 0.15,
+    moves: Array | None = None,
     noise: float = 3.0,
     blur: int = 2,
     seed: int = 0,
 ) -> Film:
-    """Film people through a camera that turns round them; each image is the mean of `blur` moments of the exposure."""
+    """Film people through a camera that turns round them; each image is the mean of `blur` moments of the exposure.
+
+    `moves` (frame, 4) are pan, tilt and roll of the camera at its place, radians, and its zoom.
+    """
     rng = np.random.default_rng(seed)
     num_frames, people = bodies.body22_m.shape[:2]
     width, height = size
@@ -119,6 +123,7 @@ def render(
             focal_px=0.62 * height * distance / 1.7,
             image_size_px=size,
         )
+        camera, steady = camera if moves is None else _moved(camera, *moves[frame]), camera
         cameras.append(camera)
         mean = np.zeros((height, width, 3), np.float32)
         depth = np.zeros((height, width), np.float32)
@@ -127,9 +132,11 @@ def render(
             after = min(frame + 1, num_frames - 1)
             joints = (1 - share) * bodies.body22_m[frame] + share * bodies.body22_m[after]
             shift = np.array([width + (turn - yaw_rad) * camera.focal_px * 0.8, 0.5 * height])
-            image = cv2.getRectSubPix(background, size, tuple(np.float32(shift + np.array(size) / 2.0))).astype(
-                np.float32
-            )
+            if moves is None:
+                image = cv2.getRectSubPix(background, size, tuple(np.float32(shift + np.array(size) / 2.0)))
+            else:
+                image = cv2.warpPerspective(background, _image_from_wall(camera, steady, shift), size)
+            image = image.astype(np.float32)
             drawn = np.full((height, width), np.inf, np.float32)
             for person in range(people):
                 rotmat = rotmat_from_unitquat(bodies.unitquat[frame, person])
@@ -146,6 +153,33 @@ def render(
         visible.append(camera.is_inside(seen.px) & (depth[y, x] > seen.depth_m - 0.16))
     px = np.stack([camera.project(one).px for camera, one in zip(cameras, bodies.pair17_m, strict=True)])
     return Film(images, px, np.stack(visible), cameras)
+
+
+def hand_held(num_frames: int, *, shake_px: float = 0.0, pan_rad: float = 0.0, zoom: float = 1.0) -> Array:
+    """Return moves of a camera (frame, 4): shaken by some pixels of 640, panned by an angle, and zoomed, over time."""
+    time = np.linspace(0.0, 1.0, num_frames)
+    rng, beats = np.random.default_rng(1), np.arange(num_frames) / 30.0
+    waves = [sum(np.sin(2 * np.pi * hz * beats + rng.uniform(0, 7)) for hz in (0.7, 1.6, 3.1)) for _ in range(3)]
+    pan, tilt, roll = np.array(waves) * shake_px / 3.0 * [[1 / 600], [1 / 600], [1 / 900]]
+    return np.stack([pan + pan_rad * (time - 0.5), tilt, roll, zoom ** (time - 0.5)], axis=-1)
+
+
+def _moved(camera: PinholeCamera, pan: float, tilt: float, roll: float, zoom: float) -> PinholeCamera:
+    turned = rotmat_from_unitquat(unitquat_from_rotvec(np.array([[0.0, pan, 0.0], [tilt, 0.0, 0.0], [0.0, 0.0, roll]])))
+    rotmat = turned[2] @ turned[1] @ turned[0] @ camera.camera_from_world_rotmat
+    return replace(camera, camera_from_world_rotmat=rotmat, focal_px=zoom * camera.focal_px)
+
+
+def _image_from_wall(camera: PinholeCamera, steady: PinholeCamera, shift: Array) -> Array:
+    """Return the homography from the wall, which is far away, to the image of a camera that has turned."""
+    flip = np.diag([1.0, -1.0, -1.0])  # camera axes to x right, y down, z away
+    lenses = []
+    for one in (camera, steady):
+        cx, cy = one.principal_point_px
+        lenses.append(np.array([[one.focal_px, 0.0, cx], [0.0, one.focal_px, cy], [0.0, 0.0, 1.0]]))
+    turn = flip @ camera.camera_from_world_rotmat @ steady.camera_from_world_rotmat.T @ flip
+    at = np.array([[1.0, 0.0, -shift[0]], [0.0, 1.0, -shift[1]], [0.0, 0.0, 1.0]])
+    return np.asarray(lenses[0] @ turn @ np.linalg.inv(lenses[1]) @ at)
 
 
 def write_film(path: Path, images: Iterable[Image], *, rate_hz: float = 30.0) -> Path:

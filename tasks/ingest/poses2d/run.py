@@ -16,6 +16,7 @@ from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.camera_motions import motion_table
 from tasks.committing import commit
 from tasks.facts import CoupleFact, SequenceFacts
 from tasks.ingest.poses2d.parameters import AnnotationParameters
@@ -70,7 +71,8 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
                 "pair17_px": pair17.positions,
                 "pair17_confidence": pair17.confidence,
             }
-        },
+        }
+        | motion_table(frames.camera_motion),
         facts=SequenceFacts(
             takes=(parameters.take_id,) if parameters.take_id else (),
             sequence_ids=tuple(sorted(set(frames.sequence_id))),

@@ -14,6 +14,7 @@ from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
+from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.people import MethodMotions, SequenceOptions
 from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER, Method
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
@@ -181,7 +182,7 @@ def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[
     if reason := decided or (why_no_video(frames) if len(frames) else ""):
         return [], [reason]
     motion = read_camera_motion(store, ref, sequence_id)
-    return [track.steadied(motion) for track in tracks_of({name: table[name] for name in table}, sequence_id)], []
+    return subtract_motion(tracks_of({name: table[name] for name in table}, sequence_id), motion)[0], []
 
 
 def _database(

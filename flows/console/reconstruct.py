@@ -23,6 +23,7 @@ from pasdedeux.formats.humanoid import units_text, write_npz
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.live.person import LiveOptions
+from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions
 from pasdedeux.reconstruction.sequence import Reconstruction, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import tracks_of
@@ -143,7 +144,11 @@ def _reconstruct_video(
         if sequence.why_not_followed:
             raise InputError(sequence.why_not_followed)
         motion = resolved.frames.camera_motion.get(sequence.sequence_id)
-        tracks = [track.steadied(motion) for track in tracks_of(track_columns(resolved), sequence.sequence_id)]
+        tracks, is_steadied = subtract_motion(tracks_of(track_columns(resolved), sequence.sequence_id), motion)
+        if motion is not None:
+            echo(f"{sequence.sequence_id}: {motion.in_words(is_subtracted=is_steadied)}", err=True)
+        for doubt in resolved.frames.doubts:
+            echo(f"{sequence.sequence_id}: {doubt}", err=True)
         known = [track.person_id for track in tracks]
         if unknown := sorted(set(person_ids) - set(known)):
             raise InputError(f"person {unknown[0]} is not in it; people: {', '.join(map(str, known)) or 'none'}")

@@ -110,30 +110,24 @@ def annotate_shot(
         sizes * scale,
         is_checked=not is_key,
     )
-    found, is_lost = follower.motion(first_frame)
-    motion = None if found is None else found.resized(1.0 / scale)
-
-    def steady(px: Array) -> Array:
-        return px if motion is None else motion.steady_px(motion.frames, px)
-
-    tracks = Tracks(*(steady((track + 0.5) / scale - 0.5) for track in (tracks.forward, tracks.backward)))
+    tracks = Tracks(*((track + 0.5) / scale - 0.5 for track in (tracks.forward, tracks.backward)))
     filled = fill_points(
-        steady(flat),
+        flat,
         confidence.reshape(num_frames, points),
         kind.reshape(num_frames, points),
         tracks,
         sizes,
         rate_hz=given.rate_hz,
         is_hidden=is_hidden.reshape(num_frames, points),
+        person=np.repeat(np.arange(shape[1]), shape[2]),
     )
-    px = shorten_limbs(filled, names)
-    px = px if motion is None else np.where(np.isfinite(flat), flat, motion.image_px(motion.frames, px))
+    motion, is_lost = follower.motion(first_frame)
     given = replace(
         given,
-        camera_motion={} if motion is None else {given.sequence_id[0]: motion},
+        camera_motion={} if motion is None else {given.sequence_id[0]: motion.resized(1.0 / scale)},
         doubts=(*given.doubts, *((LOST,) if is_lost else ())),
     )
-    return _rows(given, replace(filled, px=px), first_frame, people)
+    return _rows(given, replace(filled, px=shorten_limbs(filled, names)), first_frame, people)
 
 
 def correct_keypoint(

@@ -27,6 +27,8 @@ _DOUBTED = 0.06
 """Deviation at which a filled joint has half the confidence of its ends."""
 _LEAST_CONFIDENCE = 0.25
 """Of a filled joint: above what ingest takes for missing."""
+_MIN_FOLLOWED = 3
+"""Joints of a person that are followed, by which the others are taken along."""
 _MAX_STRETCH = 1.1
 """A limb may be so much longer than at any of its known places."""
 _LIMBS = tuple(
@@ -63,6 +65,7 @@ def fill_points(
     *,
     rate_hz: float,
     is_hidden: Flags,
+    person: Integers,
 ) -> FilledPoints:
     """Fill the gaps between known places of points.
 
@@ -74,14 +77,17 @@ def fill_points(
         size_px: Size of each point's person (point,).
         rate_hz: Frames per second.
         is_hidden: Where a point is known not to be seen (frame, point); nothing goes through there.
+        person: Person of each point (point,), with whom it moves where it cannot be followed.
     """
     px, sure, kind = known_px.copy(), confidence.copy(), status.copy()
     doubt = np.zeros(confidence.shape)
+    paths = _paths(known_px, tracks.forward, person)
     for point, size in enumerate(size_px.tolist()):
         known = np.flatnonzero(np.isfinite(known_px[:, point, 0]))
         if len(known) == 0:
             continue
-        curve = _curve(known, known_px[known, point], len(px))
+        path = paths[:, point]
+        curve = path + _curve(known, known_px[known, point] - path[known], len(px))
         forward, backward = (track[:, point] for track in (tracks.forward, tracks.backward))
         ends = [-1, *known.tolist(), len(px)]
         for start, stop in pairwise(ends):
@@ -153,6 +159,23 @@ def shorten_limbs(filled: FilledPoints, joint_names: tuple[str, ...]) -> Array:
                 is_long = (length > limit) & ~is_known[:, child]
                 px[is_long, child] = px[is_long, parent] + along[is_long] * (limit / length[is_long])[:, None]
     return px
+
+
+def _paths(known_px: Array, forward: Array, person: Integers) -> Array:
+    """Return how the person of each point moves (frame, point, 2), from 0, by the joints that are followed.
+
+    The step from a frame to the next is the median of the steps of these joints; it is 0 where there are fewer than
+    three.
+    """
+    steps = forward[1:] - np.where(np.isfinite(known_px), known_px, forward)[:-1]
+    paths = np.zeros(known_px.shape)
+    for who in np.unique(person):
+        own = steps[:, person == who]
+        is_told = np.isfinite(own[..., 0]).sum(axis=1) >= _MIN_FOLLOWED
+        step = np.zeros((len(own), 1, 2))
+        step[is_told, 0] = np.nanmedian(own[is_told], axis=1)
+        paths[1:, person == who] = np.cumsum(step, axis=0)
+    return paths
 
 
 def _curve(known: Integers, places: Array, num_frames: int) -> Array:

@@ -77,13 +77,19 @@ class CameraMotion:
         """Magnification of each image beside the steady one (frame,)."""
         return np.asarray(1.0 / np.linalg.norm(self.steady_from_image[:, :, 0], axis=-1))
 
-    def in_words(self) -> str:
-        """Say how the camera moves."""
+    def in_words(self, *, is_subtracted: bool = True) -> str:
+        """Say how the camera moves, and whether that is subtracted."""
         across, down = np.ptp(self.displacement_px, axis=0)
         low, high = self.zoom.min(), self.zoom.max()
         return (
             f"the camera moves: {across:.0f} px across, {down:.0f} px down, {np.rad2deg(np.ptp(self.roll_rad)):.1f} "
-            f"degrees of roll, zoom {low:.2f} to {high:.2f}; this is subtracted"
+            f"degrees of roll, zoom {low:.2f} to {high:.2f}; "
+            + (
+                "this is subtracted"
+                if is_subtracted
+                else "not subtracted: people stay where the image shows them, as "
+                "before a camera that goes round them, which is not supported"
+            )
         )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
@@ -53,6 +54,20 @@ def share_alike(tracks: Sequence[Track]) -> float:
     is_alike = off < _ALIKE * np.linalg.norm(common, axis=-1)[:, None]
     share = is_alike.sum(axis=1) / np.isfinite(off).sum(axis=1)
     return float(np.mean((share > _MIN_ALIKE) & (np.nanmin(ankles[judged], axis=1) > _MIN_SPEED)))
+
+
+def subtract_motion(tracks: Sequence[Track], motion: CameraMotion | None) -> tuple[list[Track], bool]:
+    """Return tracks in the steady image of a camera that moves, and whether its motion was subtracted.
+
+    It is not where the feet then stand still less than before: a camera that goes round people, whose background
+    moves and who do not, is not supported.
+    """
+    if motion is None or not tracks:
+        return [*tracks], False
+    steady = [track.steadied(motion) for track in tracks]
+    if share_alike(steady) > max(_MAX_SHARE, share_alike(tracks)):
+        return [*tracks], False
+    return steady, True
 
 
 def moving_camera_doubt(tracks: Sequence[Track]) -> str:

@@ -102,9 +102,9 @@ class Track:
         """Frames of the sequence (frame,)."""
         return self.first_frame + np.arange(len(self.keypoints_px))
 
-    def steadied(self, motion: CameraMotion | None) -> Track:
-        """Return the track in the steady image of a camera that moves; None moves nothing."""
-        return self if motion is None else replace(self, keypoints_px=motion.steady_px(self.frames, self.keypoints_px))
+    def steadied(self, motion: CameraMotion) -> Track:
+        """Return the track in the steady image of a camera that moves."""
+        return replace(self, keypoints_px=motion.steady_px(self.frames, self.keypoints_px))
 
     def every(self, stride: int) -> Track:
         """Return every so many frames."""

@@ -1,0 +1,136 @@
+"""Film of a hand-held camera: its motion is found from the background, and subtracted; keypoints alone tell of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pasdedeux.film.annotating import annotate_shot
+from pasdedeux.film.camera import LOST, CameraFollower
+from pasdedeux.film.shots import at_constant_rate
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.reconstruction.moving_camera import moving_camera_doubt, share_alike, subtract_motion
+from pasdedeux.reconstruction.tracks import Lens, Track
+from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tests.builders.rendered_film import Bodies, Film, duet_bodies, hand_held, render, rows_of
+
+COUNT = 31
+MOVES = {
+    "shaken": {"shake_px": 40.0},
+    "panned": {"pan_rad": 0.3},
+    "zoomed": {"zoom": 1.3},
+}
+
+
+@pytest.fixture(scope="module")
+def bodies() -> Bodies:
+    return duet_bodies("waltz", seconds=1.1, frames=slice(COUNT))
+
+
+def filmed(bodies: Bodies, **moves: float) -> tuple[Film, AnnotatedFrames]:
+    film = render(bodies, yaw_rad=0.2, turn_rad=0.0, moves=hand_held(COUNT, **moves), blur=1, seed=3)
+    return film, annotate_shot(rows_of(film, [0, 10, 20, 30]), iter(film.images), 0, COUNT, is_key=True).frames
+
+
+def tracks_of_px(px: np.ndarray) -> list[Track]:
+    """Return tracks of pair17 keypoints (frame, person, 17, 2)."""
+    lens = Lens(800.0, (320.0, 240.0))
+    tracks = []
+    for person in range(px.shape[1]):
+        joints = KEYPOINT_LAYOUTS[PAIR17.name].derive("op14", px[:, person], np.ones(px[:, person].shape[:-1]))
+        tracks.append(Track(joints.positions, joints.confidence, 30.0, lens, person))
+    return tracks
+
+
+@pytest.mark.parametrize("kind", MOVES)
+def test_people_are_where_a_still_camera_would_see_them(bodies: Bodies, kind: str) -> None:
+    film, frames = filmed(bodies, **MOVES[kind])
+    motion = frames.camera_motion["film"]
+    middle = np.median(hand_held(COUNT, **MOVES[kind]), axis=0)
+    still = render(bodies, yaw_rad=0.2, turn_rad=0.0, moves=np.tile(middle, (COUNT, 1)), blur=0, seed=3)
+    steady = motion.steady_px(np.arange(COUNT), film.px)
+    # Pan and tilt are rotations: at the edge of a wide pan a similarity is off by some per cent of the way.
+    assert np.linalg.norm(steady - still.px, axis=-1).mean() < 0.015 * film.height_px
+    assert np.linalg.norm(film.px - still.px, axis=-1).mean() > 0.02 * film.height_px
+    np.testing.assert_allclose(motion.image_px(np.arange(COUNT), steady), film.px)
+    assert share_alike(tracks_of_px(steady)) < 0.1
+    assert "the camera moves" in motion.in_words()
+
+
+def test_a_still_camera_moves_nothing(bodies: Bodies) -> None:
+    _, frames = filmed(bodies)
+    assert not frames.camera_motion
+    assert not frames.doubts
+    px = tracks_of_px(np.zeros((5, 1, 17, 2)))
+    assert subtract_motion(px, None) == (px, False)
+
+
+def test_between_key_frames_joints_are_as_well_tracked_before_a_shaken_camera(bodies: Bodies) -> None:
+    errors = []
+    for moves in ({}, MOVES["shaken"]):
+        film, frames = filmed(bodies, **moves)
+        px = np.full(film.px.shape, np.nan)
+        px[frames.frame, frames.person_id] = frames.keypoints_px
+        errors.append(float(np.nanmean(np.linalg.norm(px - film.px, axis=-1)[film.is_visible])))
+    assert errors[1] < 1.1 * errors[0]
+
+
+def test_joints_that_flow_cannot_follow_go_along_with_the_others(bodies: Bodies) -> None:
+    film = render(bodies, yaw_rad=0.2, turn_rad=0.0, moves=hand_held(COUNT, shake_px=60.0), blur=1, seed=3)
+    given = rows_of(film, [0, 15, 30])
+    wrist = PAIR17.index("right_wrist")
+    given.confidence[:, wrist] = 0.4  # known, but not seen: nothing to be tracked
+    frames = annotate_shot(given, iter(film.images), 0, COUNT, is_key=True).frames
+    px = np.full(film.px.shape, np.nan)
+    px[frames.frame, frames.person_id] = frames.keypoints_px
+    flat = film.px.reshape(COUNT, -1)
+    linear = np.stack([np.interp(np.arange(COUNT), [0, 15, 30], one) for one in flat[[0, 15, 30]].T], axis=-1)
+    own, other = (
+        float(np.nanmean(np.linalg.norm(found - film.px, axis=-1)[:, :, wrist]))
+        for found in (px, linear.reshape(film.px.shape))
+    )
+    assert own < 0.6 * other
+
+
+def test_keypoints_alone_tell_that_the_camera_moves(bodies: Bodies) -> None:
+    for kind, is_moved in (("still", False), ("shaken", True), ("panned", True)):
+        moves = hand_held(COUNT, **MOVES.get(kind, {}))
+        film = render(bodies, yaw_rad=0.2, turn_rad=0.0, moves=moves, blur=0)
+        doubt = moving_camera_doubt(tracks_of_px(film.px))
+        assert bool(doubt) == is_moved, kind
+        assert not is_moved or "everybody moves alike in" in doubt
+
+
+def test_the_background_behind_a_camera_that_goes_round_people_is_not_taken_for_a_pan(bodies: Bodies) -> None:
+    film = render(bodies, yaw_rad=0.2, turn_rad=0.4, blur=1, seed=3)
+    frames = annotate_shot(rows_of(film, [0, 10, 20, 30]), iter(film.images), 0, COUNT, is_key=True).frames
+    tracks, is_subtracted = subtract_motion(tracks_of_px(film.px), frames.camera_motion["film"])
+    assert not is_subtracted
+    np.testing.assert_array_equal(tracks[0].keypoints_px, tracks_of_px(film.px)[0].keypoints_px)
+
+
+def test_a_camera_that_sees_no_background_is_not_known() -> None:
+    grey = np.random.default_rng(0).integers(0, 255, (20, 120, 160), dtype=np.uint8)
+    follower = CameraFollower(np.full((20, 0, 2, 2), np.nan))
+    for image in grey:
+        follower.add(image)
+    assert follower.motion(0) == (None, True)
+    assert "not known" in LOST
+
+
+def test_the_motion_of_film_of_a_variable_rate_is_placed_with_its_keypoints(bodies: Bodies) -> None:
+    matrices = np.tile(np.eye(2, 3), (30, 1, 1))
+    matrices[:, 0, 2] = np.arange(30.0) * 2
+    time_s = np.cumsum(np.r_[0.0, np.where(np.arange(29) % 3 == 0, 0.08, 0.04)])
+    points = np.repeat(-matrices[:, None, :, 2], 17, axis=1) + 100.0
+    frames = AnnotatedFrames(
+        "coco17", ("s",) * 30, np.arange(7, 37), np.zeros(30, dtype=int), points, np.ones((30, 17)), rate_hz=25.0
+    )
+    frames = replace(frames, camera_motion={"s": CameraMotion(7, matrices, (640, 480))})
+    placed = at_constant_rate(frames, 7, time_s, 25.0)
+    steady = placed.camera_motion["s"].steady_px(placed.frame, placed.keypoints_px)
+    np.testing.assert_allclose(steady, 100.0)

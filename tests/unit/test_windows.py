@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import os
 import pickle
 import re
 import subprocess
@@ -12,8 +14,10 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import numpy as np
 import pytest
+from nbclient import NotebookClient
 
 from benchmarks import loader
 from flows.console.app import run_command_line
@@ -307,6 +311,22 @@ def test_the_example_trains(store: Store, own_cache: Path) -> None:
         env=environment,
     )
     assert re.fullmatch(r"step 12: \d+\.\d\d cm; the source as it is \d+\.\d\d cm\n", done.stdout)
+
+
+def test_the_notebook_trains_and_is_kept_without_outputs(store: Store, own_cache: Path) -> None:
+    notebook = nbformat.read(ROOT / "examples" / "train.ipynb", as_version=4)
+    nbformat.validate(notebook)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(not cell.outputs and cell.execution_count is None for cell in code)
+    (given,) = (cell for cell in code if "parameters" in cell.metadata.get("tags", ()))
+    given.source = f'reference, store, window, steps = "variants:drawn", {str(store.root)!r}, 4, 12'
+    environment = {"PASDEDEUX_CACHE": str(own_cache), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    NotebookClient(notebook, timeout=600).execute(env=os.environ | environment)
+    told = "".join(str(output.get("text", output.get("data", {}).get("text/plain"))) for output in code[-2].outputs)
+    assert re.fullmatch(r"step 12: \d+\.\d\d cm\n", told)
+    mean_cm = ast.literal_eval(code[-1].outputs[-1]["data"]["text/plain"])
+    assert mean_cm.keys() == {"network", "take as it is"}
+    assert all(0.0 < value < 1000.0 for value in mean_cm.values())
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from flows.dataset_folder.layout import (
 from flows.dataset_folder.statistics import contact_figures, figures_of_motions
 from flows.machine import usable_cores
 from flows.planning import PlanError
-from pasdedeux.augmentation import scaled_rest
+from pasdedeux.augmentation import Source, UserContact, scaled_rest
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import TABLES, ArtifactRef, Dataset, Manifest, Store, canonical_json
@@ -281,16 +282,11 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
 def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Iterator[Any]:
     """Yield the contacts of a take as rows, or of variants those of the take as each of them holds them."""
     manifest = store.manifest(ref)
-    is_variant = "variants" in manifest.tables
-    take = take_of(store, ref) if is_variant else ref
-    facts, source = TakeFacts.of(store.manifest(take)), read_take(store, take).source
-    found = ContactRows.of(source, batch_of(manifest).contacts if is_variant else facts.contacts)
-    count, table = len(found.frame), TABLES["variants"]
-    rows = {"take_id": [facts.take_id] * count, "time_s": found.frame / facts.rate_hz} | found.columns()
-    if not is_variant:
-        yield encode(TABLES["contacts"], {"origin": ["poses"] * count} | rows)
+    if "variants" not in manifest.tables:
+        yield _found_in(store, ref, TakeFacts.of(manifest).contacts, "poses")[2]
         return
-    known = encode(TABLES["contacts"], {"origin": ["variants"] * count} | rows)
+    source, found, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts, "variants")
+    count, table = len(found.frame), TABLES["variants"]
     batches = (one.rows for one in store.iter_batches(ref, "variants", columns=["body22_m"]))
     for group, part in zip(groups, cut(batches, groups), strict=True):
         positions_m = TableData(table, part)["body22_m"].reshape(source.positions_m.shape)
@@ -298,6 +294,18 @@ def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Ite
         own = {"variant_id": [group.clip.partition("/")[2]] * count, "distance_m": held.distance_m}
         own |= {"point_m": held.points_m[:, 0], "partner_point_m": held.points_m[:, 1], "gap_m": held.gap_m}
         yield with_columns(TABLES["contacts"], known, own)
+
+
+@lru_cache(maxsize=4)
+def _found_in(
+    store: Store, take: ArtifactRef, stated: tuple[UserContact, ...], origin: str
+) -> tuple[Source, ContactRows, Any]:
+    """Return a take, its contacts, and these as rows; batches of variants of one take follow each other."""
+    facts, source = TakeFacts.of(store.manifest(take)), read_take(store, take).source
+    found = ContactRows.of(source, stated)
+    count = len(found.frame)
+    rows = {"origin": [origin] * count, "take_id": [facts.take_id] * count, "time_s": found.frame / facts.rate_hz}
+    return source, found, encode(TABLES["contacts"], rows | found.columns())
 
 
 def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, FolderFile]:

@@ -43,6 +43,6 @@ for epoch in itertools.count():
         step += 1
         if step % 100 == 0 or step == options.steps:
             mean_cm = [100.0 * x.norm(dim=-1).mean() for x in (error_m, (source - batch["positions"]) * size_m)]
-            print(f"step {step}: {mean_cm[0]:.2f} cm; the source as it is {mean_cm[1]:.2f} cm")  # noqa: T201
+            print(f"step {step}: {mean_cm[0]:.2f} cm; the source as it is {mean_cm[1]:.2f} cm")
     if step >= options.steps:
         break

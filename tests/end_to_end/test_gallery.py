@@ -1,0 +1,74 @@
+"""The examples of the gallery: each runs as its own first lines say, and prints what it promises."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.builders.real_study import BuiltStudy
+from tests.builders.toy_runs import ROOT
+
+EXAMPLES = ROOT / "examples"
+ALONE = {
+    "custom_density.py": r"draw 80: right wrists \d\.\d cm apart",
+    "live_printed.py": r"image 81: person 1 in frame 75 is at ",
+    "object_between_two.py": r"B at 1.15: pass; wrists within \d mm",
+    "retarget_hug_to_child.py": r"B-uniform-0.60: pass, contacts drift by \d\.\d mm \(plain kinematics \d\d\d\.",
+    "three_people.py": r"C at 1.2: pass, contacts drift by \d\.\d mm\nmean movement: A \d\.\d cm, B \d\.\d cm, C \d\d",
+}
+"""Examples that need nothing, and what they print."""
+ON_A_STORE = {
+    "compare_two_runs.sh": r"augmentation\.scales",
+    "curate_variants.sh": r"variants\.csv[^$]*undone|variants\.csv",
+    "custom_export_format.py": r"joints/waltz\.json",
+    "restart_a_chain.sh": r"20 draws|restarted|draws:",
+}
+"""Examples that need a study that was built."""
+TESTED_ELSEWHERE = ("train_on_windows.py", "train.ipynb")
+
+
+def _run(words: Sequence[str | Path], folder: Path) -> str:
+    """Run an example in an empty folder, with the command line of this environment; return what it printed."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_every_example_is_run_by_a_test_and_shown_on_the_page() -> None:
+    page = (ROOT / "docs" / "gallery.md").read_text()
+    for path in EXAMPLES.iterdir():
+        if path.is_file():
+            assert path.name in page
+            assert path.name in {
+                *ALONE,
+                *ON_A_STORE,
+                "train_on_windows.py",
+                "train.ipynb",
+            }  # these have their own tests
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALONE)
+def test_an_example_prints_what_it_promises(name: str, tmp_path: Path) -> None:
+    assert re.search(ALONE[name], _run([sys.executable, EXAMPLES / name], tmp_path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ON_A_STORE)
+def test_an_example_works_on_a_store(name: str, small: BuiltStudy, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    shutil.copytree(small.store, store)
+    about = small.study if name.startswith("compare") else "poses:small" if name.endswith(".py") else "small"
+    words = [sys.executable, EXAMPLES / name, about, "--store", store, "--out", "joints"]
+    if name.endswith(".sh"):
+        words = ["sh", EXAMPLES / name, about, store]
+    assert re.search(ON_A_STORE[name], _run([str(word) for word in words], tmp_path))

@@ -8,7 +8,10 @@ import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Sequence
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +35,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 """The program; a module of this package adds its commands when it is imported, which is when one is called."""
+
+_BUSY_S = 2.0
+"""Work of more than so long says that it goes on."""
 
 StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]
 SettingOption = Annotated[
@@ -149,6 +155,32 @@ def echo(text: str, *, err: bool = False) -> None:
     Names, notes and credits that others wrote cannot drive the terminal: controls are written out.
     """
     typer.echo(visible(text), err=err)
+
+
+@contextmanager
+def busy(words: str) -> Iterator[None]:
+    """Say on standard error what is being done while it takes more than two seconds, and for how long.
+
+    A terminal has one line that counts; elsewhere there is a line after 2 s, 4 s, 8 s and so on.
+    """
+    ended, started, is_terminal = threading.Event(), time.monotonic(), sys.stderr.isatty()
+
+    def tell() -> None:
+        wait_s = _BUSY_S
+        while not ended.wait(wait_s):
+            line = f"{words}: {time.monotonic() - started:.0f} s"
+            typer.echo(f"\r{visible(line)}", err=True, nl=False) if is_terminal else echo(line, err=True)
+            wait_s *= 1 if is_terminal else 2
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        teller.join()
+        if is_terminal and time.monotonic() - started > _BUSY_S:
+            typer.echo(err=True)
 
 
 def say(lines: Iterable[str], *, err: bool = False) -> None:

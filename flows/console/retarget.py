@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from typer import Option
 
-from flows.console.context import app, echo, say
+from flows.console.context import app, busy, echo, say
 from flows.console.display import format_table
 from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
 from flows.exports import RestPose, Units, write_credits
@@ -87,7 +88,9 @@ def retarget(
     weights = None if model is None else find_model(model, store)
     units_m = iter(body_unit or ())
     targets = [None if body == KEPT else _read_target(Path(body), units_m) for body in to]
-    with find_take(take, store, unit or (), rate) as (opened, ref):
+    with ExitStack() as held:
+        with busy("reading the take"):
+            opened, ref = held.enter_context(find_take(take, store, unit or (), rate))
         _retarget_take(opened, ref, targets, out, rest_pose=rest_pose, units=units, weights=weights)
 
 
@@ -147,20 +150,24 @@ def _retarget_take(
         if target is None:
             continue
         who = f"person {person.letter} of take {take_id}"
-        fit = fit_body(target, person.own, source.lengths_m[index], layout=person.layout, who=who)
+        with busy(f"fitting the body of {who}"):
+            fit = fit_body(target, person.own, source.lengths_m[index], layout=person.layout, who=who)
         bone_scale[index] = fit.bone_scale
         rows.append(_said(person, target, fit))
         worst_m = max(map(abs, fit.misfit_m.values()))
         if worst_m > _MISFIT_M:
             contradictions.append((person, worst_m))
-    solver = Augmenter(source, user_contacts=take.contacts)
+    with busy("finding what is in contact"):
+        solver = Augmenter(source, user_contacts=take.contacts)
     if weights is None:
-        variant = solver.solve([Variation("retarget", bone_scale)])[0]
+        with busy(f"solving {counted(len(source.positions_m), 'frame')} for these bodies"):
+            variant = solver.solve([Variation("retarget", bone_scale)])[0]
         positions_m, bone_scale, verdict = variant.positions_m, variant.bone_scale, variant.verdict
     else:
         bone_scale = complete_scales(source, bone_scale[None])[0]
         name, whether_known = known_take(weights, ref, take_id)
-        positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=take.contacts))
+        with busy("asking the model"):
+            positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=take.contacts))
         verdict = solver.assess(Variation("retarget", bone_scale), positions_m).verdict
         echo(whether_known, err=True)
     out.mkdir(parents=True, exist_ok=True)

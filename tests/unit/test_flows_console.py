@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from flows.console.context import busy
 from flows.machine import usable_cores
 from flows.planning import StageSelection
 from flows.study_files import read_study_tree, shipped_studies
@@ -23,7 +24,7 @@ from storage_schema.provenance import code_version
 from tasks.data import LOOK
 from tests.builders.pages import Page
 from tests.builders.storage_rows import put
-from tests.builders.toy_runs import ROOT, STUDY, build_here, call, run_toys, write_study
+from tests.builders.toy_runs import ROOT, STUDY, build_here, call, run_toys, wait_until, write_study
 
 
 @pytest.fixture(scope="module")
@@ -458,3 +459,21 @@ def test_numbers_get_their_nouns_in_one_place(package: str) -> None:
     texts = {path.relative_to(ROOT): path.read_text() for path in (ROOT / package).rglob("*.py")}
     found = {str(path): match[0] for path, text in texts.items() if (match := by_hand.search(text))}
     assert found == {}, "`counted` does it"
+
+
+def test_work_that_takes_long_says_that_it_goes_on_and_short_work_says_nothing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with busy("reading"):
+        pass
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("flows.console.context._BUSY_S", 0.02)
+    said: list[str] = []
+
+    def has_said_it_twice() -> bool:
+        said.extend(capsys.readouterr().err.splitlines())
+        return len(said) > 1
+
+    with busy("solving 60 frames"):
+        wait_until(has_said_it_twice, "two lines", limit_s=20.0)
+    assert all(line.startswith("solving 60 frames: ") for line in said)

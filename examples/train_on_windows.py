@@ -13,7 +13,7 @@ import itertools
 import torch
 from torch.utils.data import DataLoader
 
-from tasks.windows import FIELDS, PairDataset, PairStream
+from pasdedeux.data import PairDataset, PairStream
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("reference", help="variants:STUDY, variants:NAME@VERSION or variants:FOLDER")
@@ -24,7 +24,7 @@ arguments.add_argument("--workers", type=int, default=0)
 options = arguments.parse_args()
 
 torch.manual_seed(0)
-fields = [name for name in FIELDS if name in ("positions", "source", "scales")]
+fields = ("positions", "source", "scales")
 windows = PairDataset(options.reference, options.window, store=options.store, fields=fields, is_normalised=True)
 size_m = torch.from_numpy(windows.normaliser.deviation)
 network = torch.nn.Sequential(torch.nn.Linear(2 * 22 * 4, 256), torch.nn.GELU(), torch.nn.Linear(256, 2 * 22 * 3))

@@ -249,3 +249,22 @@ def test_a_folder_called_tasks_that_hides_ours_is_named(tmp_path: Path) -> None:
     assert found.stderr.splitlines()[-1] == (
         f"ImportError: the folder {tmp_path / 'tasks'} hides `tasks` of pasdedeux: rename it, or start Python elsewhere"
     )
+
+
+def test_the_example_chooses_the_best_variants_and_its_list_is_obeyed(store: Store, tmp_path: Path) -> None:
+    script = str(ROOT / "examples" / "best_variants.py")
+    command = [sys.executable, script, "toy", "--store", str(store.root)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    kept = {clip.name for clip in Data(store, tmp_path / "curation.txt").variants("toy")}
+    assert f"curation.txt: {len(kept)} of 8 variants kept" in done.stdout
+    figures = drift_of_variants(store)
+    left_out = [drift for name, drift in figures.items() if name not in kept]
+    assert left_out
+    assert np.nanmax([figures[name] for name in kept]) <= min(left_out)
+
+
+def drift_of_variants(store: Store) -> dict[str, float]:
+    """Return the contact drift of each variant by its name; NaN where nothing is in contact."""
+    rows = open_table("variant_quality:toy", store, columns=["take_id", "variant_id", "contact_drift_m"])
+    columns = zip(*(rows[one] for one in rows.column_names), strict=True)
+    return {f"{take}, {name}": float(drift) for take, name, drift in columns}

@@ -19,6 +19,7 @@ EXAMPLES = ROOT / "examples"
 ALONE = {
     "custom_density.py": r"draw 80: right wrists \d\.\d cm apart",
     "live_printed.py": r"image 81: person 1 in frame 75 is at ",
+    "practice_2d.py": r"hug.csv: 60 frames of two people",
     "object_between_two.py": r"B at 1.15: pass; wrists within \d mm",
     "retarget_hug_to_child.py": r"B-uniform-0.60: pass, contacts drift by \d\.\d mm \(plain kinematics \d\d\d\.",
     "three_people.py": r"C at 1.2: pass, contacts drift by \d\.\d mm\nmean movement: A \d\.\d cm, B \d\.\d cm, C \d\d",
@@ -31,7 +32,7 @@ ON_A_STORE = {
     "restart_a_chain.sh": r"20 draws|restarted|draws:",
 }
 """Examples that need a study that was built."""
-TESTED_ELSEWHERE = ("train_on_windows.py", "train.ipynb")
+TESTED_ELSEWHERE = ("train_on_windows.py", "train.ipynb", "best_variants.py")
 
 
 def _run(words: Sequence[str | Path], folder: Path) -> str:
@@ -48,12 +49,7 @@ def test_every_example_is_run_by_a_test_and_shown_on_the_page() -> None:
     for path in EXAMPLES.iterdir():
         if path.is_file():
             assert path.name in page
-            assert path.name in {
-                *ALONE,
-                *ON_A_STORE,
-                "train_on_windows.py",
-                "train.ipynb",
-            }  # these have their own tests
+            assert path.name in {*ALONE, *ON_A_STORE, *TESTED_ELSEWHERE}
 
 
 @pytest.mark.slow

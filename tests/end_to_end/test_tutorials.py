@@ -1,9 +1,11 @@
-"""The commands of a tutorial run as they are printed, one after another, in an empty folder."""
+"""The commands of a tutorial run as they are printed, one after another, in an empty folder; so do the examples."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,27 +13,62 @@ import pytest
 from flows.console.app import run_command_line
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.bvh_writer import write_bvh
+from tests.builders.toy_runs import ROOT
 
 pytestmark = pytest.mark.slow
-TUTORIALS = Path(__file__).parents[2] / "docs" / "tutorials"
+TUTORIALS = ROOT / "docs" / "tutorials"
 
 
-def test_two_bvh_files_become_files_of_variants(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_home: Path
-) -> None:
+def follow(page: str) -> int:
+    """Run every command and piece of Python of a tutorial in this folder, but installations; return how many."""
+    text = (TUTORIALS / page).read_text(encoding="utf-8")
+    count = 0
+    for language, block in re.findall(r"```(sh|python)\n(.*?)```", text, re.DOTALL):
+        if language == "python":
+            exec(compile(block, page, "exec"), {})
+            count += 1
+            continue
+        for line in block.splitlines():
+            program, *words = shlex.split(line)
+            if program == "pasdedeux":
+                assert run_command_line(words) == 0, line
+            elif program == "python":
+                subprocess.run([sys.executable, str(ROOT / words[0]), *words[1:]], check=True)
+            else:
+                assert program == "pip", line
+            count += 1
+    return count
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_home: Path) -> Path:
+    """Return an empty folder in which commands run."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PREFECT_HOME", str(prefect_home))
+    return tmp_path
+
+
+def test_two_bvh_files_become_files_of_variants(here: Path) -> None:
     for letter, motion in zip("AB", make_duet("hug", duration_s=2.0, rate_hz=30.0).motions, strict=True):
-        (tmp_path / f"hug_{letter}.bvh").write_text(write_bvh(motion, units_per_metre=100.0, decimals=6))
-    text = (TUTORIALS / "two-bvh-files.md").read_text(encoding="utf-8")
-    lines = "".join(re.findall(r"```sh\n(.*?)```", text, re.DOTALL)).splitlines()
-    assert len(lines) == 6
-    for line in lines:
-        assert run_command_line(shlex.split(line)[1:]) == 0, line
-    named = re.findall(r"`([\w.-]+\.A\.bvh)`", text)
+        (here / f"hug_{letter}.bvh").write_text(write_bvh(motion, units_per_metre=100.0, decimals=6))
+    assert follow("two-bvh-files.md") == 6
+    named = re.findall(r"`([\w.-]+\.[AB]\.bvh)`", (TUTORIALS / "two-bvh-files.md").read_text(encoding="utf-8"))
     assert named
-    assert [name for name in named if not list((tmp_path / "bvh").rglob(name))] == []
-    assert list((tmp_path / "glb").rglob("*.glb"))
+    assert [name for name in named if not list((here / "bvh").rglob(name))] == []
+    assert list((here / "glb").rglob("*.glb"))
     for folder in ("bvh", "glb"):
-        assert (tmp_path / folder / "UNITS.txt").is_file()
-        assert (tmp_path / folder / "CREDITS.txt").is_file()
+        assert (here / folder / "UNITS.txt").is_file()
+        assert (here / folder / "CREDITS.txt").is_file()
+
+
+def test_2d_poses_become_pairs_and_motion(here: Path) -> None:
+    assert follow("2d-poses.md") == 9
+    assert list((here / "lifted").glob("*.glb"))
+    assert (here / "lifted" / "look.html").is_file()
+    assert sorted(path.name for path in (here / "motion").glob("*.bvh")) == ["hug.A.bvh", "hug.B.bvh"]
+
+
+def test_a_dataset_becomes_a_trained_network(here: Path) -> None:
+    pytest.importorskip("torch")
+    assert follow("train.md") == 8
+    assert (here / "duets-1" / "index.html").is_file()

@@ -369,6 +369,13 @@ def test_a_method_has_one_style_and_neighbours_differ_in_colour_and_marker() -> 
         for other in methods[at + 1 : at + len(COLOURS)]:
             assert style_of(method).colour != style_of(other).colour
             assert style_of(method).marker != style_of(other).marker
+    for together in (
+        ("ic", "prior_only", "grown_seeds", "filled_seeds", "repaired"),
+        ("over_time", "fitted", "neighbours", "nearest_draw", "mean_pair"),
+        ("fit", "nearest", "viterbi", "window", "published", "live"),
+        ("ridge_scale", "copy", "naive_fk"),
+    ):
+        assert len({style_of(method).colour for method in together}) == len(together)
     assert style_of("cartesian_repaired").colour == style_of("cartesian").colour
     assert style_of("cartesian_repaired").marker != style_of("cartesian").marker
     (axis,) = new_figure(3.0, 3.0)[1][0]

@@ -7,7 +7,7 @@ import os
 import signal
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import replace
@@ -30,6 +30,7 @@ from flows.console.context import (
     WorkersOption,
     answer,
     app,
+    busy,
     echo,
     graph_of,
     next_command,
@@ -51,6 +52,7 @@ from storage_schema import Store, in_use
 from tasks.graph import Graph
 from tasks.ingest.parameters import IngestParameters
 from tasks.shards import ClusterSettings
+from tasks.stage import Parameters
 
 MIN_FREE_BYTES = 64 * 1024**2
 
@@ -110,7 +112,7 @@ def run(
       pasdedeux run                                  the built-in duets, into ./store
       pasdedeux run my.toml --store /data/store --workers 8
       pasdedeux run my.toml --set chains.num_chains=4 --until chains
-      pasdedeux run my.toml --preview                on a few seconds of each take, to look at first
+      pasdedeux run my.toml --preview                on the 4 s of most contact of each take, to look at first
       pasdedeux run my.toml --scheduler tcp://cluster:8786
       pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
     """
@@ -122,7 +124,9 @@ def run(
         if not selection.words and PREVIEWED in chosen.parameters and _has_takes(chosen):
             selection = replace(selection, until=PREVIEWED)
         head = chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})
-        chosen = chosen.model_copy(update={"head": head, "publish": None})
+        chosen = chosen.model_copy(
+            update={"head": head, "publish": None, "parameters": _most_contact(chosen.parameters)}
+        )
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     worst = None if fail_on is None else Level(fail_on)
     opened = open_store(store)
@@ -131,6 +135,17 @@ def run(
     build_and_report(to_build, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
+
+
+def _most_contact(sections: Mapping[str, Parameters]) -> dict[str, Parameters]:
+    """Return the sections of a study with takes of files cut to the seconds of most contact."""
+    ingest = sections.get("ingest")
+    if not isinstance(ingest, IngestParameters) or not ingest.takes:
+        return dict(sections)
+    from tasks.ingest.previewing import with_most_contact  # compiles, which others need not wait for
+
+    with busy("looking for the seconds of most contact"):
+        return {**sections, "ingest": with_most_contact(ingest, PREVIEW_S)}
 
 
 def _has_takes(study: Study) -> bool:

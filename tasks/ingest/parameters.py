@@ -42,7 +42,7 @@ class IngestParameters(Parameters):
         None,
         gt=0,
         description="Only so much from the start of each take and of each sequence of 2D poses, all of it by default, "
-        "of built-in duets 0.5 s at least; `run --preview`",
+        "of built-in duets 0.5 s at least; `run --preview` takes those of most contact",
     )
     annotations: tuple[AnnotationOptions, ...] = Field((), description="2D poses of your own")
     videos: tuple[FilmOptions, ...] = Field((), description="Film of your own, with key frames or a detector")

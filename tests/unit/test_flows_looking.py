@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,13 @@ from flows.study_files import shipped_studies
 from pasdedeux.evaluation.names import better_sign, in_words, meanings
 from pasdedeux.evaluation.score_tables import score_table
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Store
 from tasks import ingest
 from tasks.stage import Parameters, Shard, StageInputs
 from tests.builders.ingest_runs import write_figure_pair
-from tests.builders.source_samples import csv_text
+from tests.builders.source_samples import csv_text, figure_motion
 from tests.builders.terminals import Screen
 
 LONG = "chains: done in 12 s; warn: prior alone performed about as well as chains, ahead by 2.5 cm (-0.3 to 5.1 cm)"
@@ -127,6 +129,33 @@ def test_a_preview_of_takes_ends_at_their_variants_and_one_of_2d_poses_goes_on(
     assert ended.value.code == 0
     (run,) = built
     assert run.selection.until == until
+
+
+def test_a_preview_takes_the_seconds_in_which_people_are_nearest_to_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or a high five that first touches at 6.3 s has ten variants with nothing to keep."""
+    still, files = figure_motion(1, rate_hz=60.0), [tmp_path / f"walk_{letter}.bvh" for letter in "AB"]
+    away_m = np.abs(np.arange(600) - 500) / 100.0  # nearest in frame 500, at 8.3 s
+    for path, path_m in zip(files, (0.0 * away_m, 0.3 + away_m), strict=True):
+        walking = replace(
+            still,
+            root_translation_m=still.root_translation_m + np.outer(path_m, [1.0, 0.0, 0.0]),
+            local_unitquat=np.repeat(still.local_unitquat, len(path_m), axis=0),
+        )
+        path.write_text(write_bvh(walking))
+    study = tmp_path / "mine.toml"
+    write_new_study(study, files)
+    built: list[Any] = []
+    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: built.append(run.study))
+    with pytest.raises(SystemExit):
+        main(["run", str(study), "--preview", "--store", str(tmp_path / "store")])
+    (take,) = built[0].parameters["ingest"].takes
+    start, stop = take.frames
+    assert stop - start == 240
+    assert start <= 500 < stop
+    planned = ingest.plan(StageInputs({}, seed=1), built[0].parameters["ingest"])
+    assert planned[0].parameters.persons[0].num_frames == 240
 
 
 def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(

@@ -36,4 +36,4 @@ lines = [
 ]
 options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 kept = len(drift_m) - len(lines)
-print(f"{options.out}: {kept} of {len(drift_m)} variants kept, {1e3 * limit_m:.2f} mm of drift at most")  # noqa: T201
+print(f"{options.out}: {kept} of {len(drift_m)} variants kept, {1e3 * limit_m:.2f} mm of drift at most")

@@ -37,4 +37,4 @@ for frame, people in enumerate(joints_px):
         for name, (x, y) in zip(OP14.joint_names, joints, strict=True):
             lines.append(f"{frame},{person},{name},{x:.2f},{y:.2f}")
 options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
-print(f"{options.out}: {len(joints_px)} frames of two people, {width} x {height} pixels")  # noqa: T201
+print(f"{options.out}: {len(joints_px)} frames of two people, {width} x {height} pixels")

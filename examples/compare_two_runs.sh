@@ -7,5 +7,5 @@ newest() { ls "$store/runs" | grep -v latest | sort | tail -n 1; }
 pasdedeux run "$study" --store "$store" --until augmentation
 before=$(newest)
 sleep 1
-pasdedeux run "$study" --store "$store" --until augmentation --set augmentation.scales=0.9
+pasdedeux run "$study" --store "$store" --until augmentation --set 'augmentation.scales=[0.9]'
 pasdedeux diff "$before" "$(newest)" --store "$store"

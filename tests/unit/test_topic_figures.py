@@ -1,0 +1,424 @@
+"""Figures of topics whose work is between the store and the page: each has a known answer on a tiny case."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.completion.errors import completion_errors, in_between_errors
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.distributions import KID_FACTOR, distances, kernel_interval
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.skeletons import OP14, PAIR17
+from storage_schema import Manifest, Store
+from tasks.evaluation import lifting, reconstruction
+from tasks.evaluation.generation import distribution_scores
+from tasks.evaluation.ground_truth import GroundTruth
+from tasks.evaluation.realism import _Clips, _compare
+from tasks.stage import StageInputs
+from tests.builders.storage_rows import put, random_columns, take_rows
+
+INPUTS = StageInputs(manifests={}, seed=3)
+FRAMES, RATE_HZ = 11, 20.0
+TURNS = {"film seen": yaw_rotmat(0.6), "film hidden": yaw_rotmat(-1.1)}
+"""Axes of the camera of each sequence, from those of the world."""
+
+
+def by_name(scores: Sequence[Score]) -> dict[tuple[str, str, str, str], Score]:
+    """Return scores by metric, method, split and item; none comes twice."""
+    found = {(one.metric, one.method, one.split, one.item): one for one in scores}
+    assert len(found) == len(scores)
+    return found
+
+
+def pairs_of(number: int) -> np.ndarray:
+    """Return people of a take (frame, 2, 17, 3) of which no two joints, people or frames are alike, metres."""
+    generator = np.random.default_rng(number)
+    still = generator.normal(0.0, 0.4, (2, PAIR17.num_joints, 3)) + np.array([[[0.0, 1.0, 0.0]], [[0.7, 1.0, 0.3]]])
+    return still + np.linspace(0.0, 0.5, FRAMES)[:, None, None, None] * generator.normal(size=(2, 17, 3))
+
+
+def put_truth(store: Store, skeleton: str = "pair17_m") -> tuple[list[Manifest], list[Manifest], dict[str, np.ndarray]]:
+    """Commit two takes, one of them held out, and virtual video of each that begins at its second frame."""
+    takes, videos, poses = [], [], {}
+    for number, take_id in enumerate(("seen", "hidden")):
+        people = pairs_of(number) if skeleton == "pair17_m" else pairs_of(number)[:, :, : OP14.num_joints]
+        poses[take_id] = people.astype(np.float32).astype(np.float64)
+        by_person = {skeleton: people.swapaxes(0, 1).reshape(-1, *people.shape[2:])}
+        rows, facts = take_rows(take_id, 2, FRAMES, rate_hz=RATE_HZ, is_held_out=take_id == "hidden", **by_person)
+        takes.append(put(store, "ingest", take_id, {"poses": rows}, facts))
+        name, count = f"film {take_id}", 2 * (FRAMES - 1)
+        frame = np.repeat(np.arange(FRAMES - 1), 2)
+        seen = random_columns("annotations", count) | {
+            "sequence_id": [name] * count,
+            "frame": frame,
+            "person_id": np.tile([0, 1], FRAMES - 1),
+            "take_id": [take_id] * count,
+            "take_frame": frame + 1,
+            "op14_px": np.arange(count * 28.0).reshape(count, 14, 2),
+        }
+        camera = random_columns("cameras", 1) | {
+            "sequence_id": [name],
+            "focal_px": [500.0],
+            "camera_from_world_rotmat": TURNS[name][None],
+            "camera_position_m": np.array([[0.0, 1.0, 4.0]]),
+            "image_width_px": [640],
+            "image_height_px": [480],
+        }
+        facts = {"kind": "sequences", "sequence_ids": [name], "is_virtual": True, "takes": [take_id]}
+        facts |= {"num_persons": 2, "num_frames": FRAMES - 1, "rate_hz": RATE_HZ, "is_held_out": take_id == "hidden"}
+        videos.append(put(store, "ingest", name, {"annotations": seen, "cameras": camera}, facts))
+    return takes, videos, poses
+
+
+def put_lifted(
+    store: Store, name: str, rows: Sequence[Mapping[str, Any]], *, table: str = "lifted_pairs", **more: Any
+) -> Manifest:
+    columns = random_columns(table, len(rows)) | {key: [row[key] for row in rows] for key in rows[0]}
+    columns["pair17_m"] = np.array(columns["pair17_m"])
+    facts = {"kind": "lifted_pairs", "sequence_ids": [name], "purpose": None, "is_held_out": False, "num_draws": 1}
+    return put(
+        store, "lifting", f"{name} {table}", {table: columns}, facts | {"num_lifted": 1, "learned_takes": []} | more
+    )
+
+
+def lifted_row(
+    poses: Mapping[str, np.ndarray], take_id: str, frame: int, method: str, apart_m: float
+) -> dict[str, Any]:
+    """Return a row whose pair is the true one in the camera's axes, but for B, who is so much farther away."""
+    pair_m = poses[take_id][frame + 1] @ TURNS[f"film {take_id}"].T
+    pair_m[1, :, 2] += apart_m
+    place = {"sequence_id": f"film {take_id}", "frame": frame, "person_id": 0, "partner_id": 1}
+    expected = {"expected_error_m": None, "expected_low_m": None, "expected_high_m": None}
+    return place | {"method": method, "pair17_m": np.add(pair_m, [3.0, -1.0, 2.0])} | expected
+
+
+def lifted_result(store: Store, lifted: Sequence[Manifest], takes: list[Manifest], videos: list[Manifest]) -> Any:
+    shard = lifting.TOPIC.shard(INPUTS, "lifted", takes=takes, annotations=videos, lifted=lifted)
+    return lifting.TOPIC.compute(shard, store)
+
+
+def test_lifted_pairs_are_scored_by_part_and_method_in_the_axes_of_their_camera(store: Store) -> None:
+    """B is 0.4 or 0.2 m too far away: half of it is the error of the pair, all of it that of the depth."""
+    takes, videos, poses = put_truth(store)
+    expected = {"expected_error_m": 0.21, "expected_low_m": 0.1, "expected_high_m": 0.3}
+    rows = [
+        lifted_row(poses, "seen", 1, "fitted", 0.4) | expected,
+        lifted_row(poses, "seen", 4, "fitted", 0.2) | expected | {"expected_high_m": 0.09},
+        lifted_row(poses, "hidden", 2, "fitted", 0.2) | expected,
+        lifted_row(poses, "hidden", 2, "nearest", 0.6),
+        lifted_row(poses, "seen", 1, "fitted", 9.0) | {"sequence_id": "no such film"},
+    ]
+    result = lifted_result(store, [put_lifted(store, "all", rows)], takes, videos)
+    found = by_name(result.scores)
+    means = {
+        (metric, method, split): one.value
+        for (metric, method, split, _), one in found.items()
+        if metric.endswith("_mean")
+    }
+    for split, method, apart_m in (
+        ("unannotated", "fitted", 0.3),
+        ("held_out", "fitted", 0.2),
+        ("held_out", "nearest_draw", 0.6),
+    ):
+        assert means["lifted_pair_error_mean", method, split] == pytest.approx(apart_m / 2, abs=1e-6)
+        assert means["lifted_person_error_mean", method, split] == pytest.approx(0.0, abs=1e-6)
+        assert means["relative_depth_error_mean", method, split] == pytest.approx(apart_m, abs=1e-6)
+    assert {split for _, _, split in means} == {"unannotated", "held_out"}
+    assert found["lifted_pair_error_mean", "fitted", "unannotated", "all"].unit == "m"
+    assert found["lifted_pair_error_mean", "fitted", "unannotated", "all"].count == 2
+    assert found["lifted_pair_error_p90", "fitted", "unannotated", "all"].value == pytest.approx(0.19, abs=1e-6)
+    # Of the errors 0.2 and 0.1 m one lies within what was expected.
+    assert found["expected_interval_share", "fitted", "unannotated", "all"].value == 0.5
+    assert found["expected_interval_share", "fitted", "held_out", "all"].value == 1.0
+    assert result.baselines == lifting._BASELINES
+
+
+def test_only_held_out_pairs_are_judged_each_beside_the_others_of_its_image(store: Store) -> None:
+    takes, videos, poses = put_truth(store)
+    rows = [
+        lifted_row(poses, "seen", 1, "fitted", 0.4),
+        lifted_row(poses, "hidden", 2, "fitted", 0.2),
+        lifted_row(poses, "hidden", 2, "mean_pair", 0.8),
+        lifted_row(poses, "hidden", 4, "fitted", 0.1),
+    ]
+    between = [
+        {key: value for key, value in lifted_row(poses, "hidden", 3, method, apart_m).items() if "expected" not in key}
+        for method, apart_m in (("draws", 0.6), ("straight", 0.2))
+    ]
+    lifted = [put_lifted(store, "a", rows), put_lifted(store, "b", between, table="in_betweens")]
+    result = lifted_result(store, lifted, takes, videos)
+    items = result.items[""]
+    assert list(items.takes) == ["hidden", "hidden"]
+    np.testing.assert_allclose(items.times_s, [3 / RATE_HZ, 5 / RATE_HZ])
+    np.testing.assert_allclose(items.values["fitted"], [0.1, 0.05], atol=1e-6)
+    np.testing.assert_allclose(items.values["mean_pair"], [0.4, np.nan], atol=1e-6)
+    between_items = result.items["frames between lifted pairs"]
+    np.testing.assert_allclose(between_items.values["draws"], [0.3], atol=1e-6)
+    np.testing.assert_allclose(between_items.times_s, [4 / RATE_HZ])
+    found = by_name(result.scores)["in_between_lifted_error_mean", "straight", "held_out", "all"]
+    assert (found.unit, found.count) == ("m", 1)
+    assert found.value == pytest.approx(0.1, abs=1e-6)
+    # What is shown is the truth, then methods in their order, of some images of each part.
+    assert [list(example) for example in result.shown.examples["held_out"]] == [["truth", "fitted"]] * 2
+    true = poses["hidden"][3] @ TURNS["film hidden"].T
+    np.testing.assert_allclose(result.shown.examples["held_out"][0]["truth"], true, atol=1e-6)
+
+
+def test_the_part_of_annotations_of_random_views_is_annotated_and_what_learned_from_the_test_is_refused(
+    store: Store,
+) -> None:
+    takes, videos, poses = put_truth(store)
+    rows = [lifted_row(poses, "seen", 1, "fitted", 0.4)]
+    lifted = put_lifted(store, "a", rows, purpose="random_views")
+    assert {one.split for one in lifted_result(store, [lifted], takes, videos).scores} == {"annotated"}
+    rows = [lifted_row(poses, "hidden", 1, "fitted", 0.4)]
+    learned = put_lifted(store, "b", rows, is_held_out=True, learned_takes=["hidden"])
+    with pytest.raises(InputError, match="learned from hidden, which it is evaluated on"):
+        lifted_result(store, [learned], takes, videos)
+
+
+def put_draws(store: Store, name: str, pairs_m: np.ndarray, takes: Sequence[str] = ()) -> Manifest:
+    columns = random_columns("draws", len(pairs_m)) | {"pair17_m": pairs_m}
+    facts = {"kind": "draws", "takes": list(takes), "density": "ic", "num_draws": len(pairs_m), "segment": 0}
+    return put(store, "chains", name, {"draws": columns}, facts, density="ic")
+
+
+def test_completed_joints_and_frames_between_are_those_of_spread_real_pairs(store: Store) -> None:
+    takes, _, poses = put_truth(store)
+    draws_m = np.concatenate([pairs_of(number) for number in range(5, 9)])
+    draws = put_draws(store, "draws", draws_m)
+    settings = lifting.LiftedPairsSettings(num_completed_pairs=3)
+    shard = lifting.TOPIC.shard(INPUTS, "completed", settings, takes=takes, draws=[draws])
+    result = lifting.TOPIC.compute(shard, store)
+    assert result.notes == [f"Joints were completed from {len(draws_m)} draws and pairs lifted from seeds."]
+    truth, pool, generator = lifting._truth_and_pool(shard, store)
+    assert len(pool) == len(draws_m)
+    for split, take_id in (("learned", "seen"), ("held_out", "hidden")):
+        frames = [frame for _, frame in lifting._spread_places({take_id: poses[take_id]}, 3, 0)]
+        wanted = completion_errors(generator, poses[take_id][frames], pool)
+        for part, methods in wanted.items():
+            for method, errors in methods.items():
+                score = by_name(result.scores)["occluded_joint_error_mean", method, split, part]
+                assert score.value == pytest.approx(errors.mean())
+                assert (score.count, score.unit) == (3, "m")
+    items = result.items["completed joints"]
+    assert set(items.takes) == {"hidden"}
+    np.testing.assert_allclose(items.times_s, [frame / RATE_HZ for frame in frames] * len(wanted))
+    np.testing.assert_allclose(items.values["fitted"], np.concatenate([part["fitted"] for part in wanted.values()]))
+    assert truth.held_out == {"hidden"}
+    with pytest.raises(InputError, match="learned from hidden"):
+        lifting._truth_and_pool(
+            lifting.TOPIC.shard(INPUTS, "completed", takes=takes, draws=[put_draws(store, "own", draws_m, ["hidden"])]),
+            store,
+        )
+
+
+def test_frames_between_have_the_errors_of_their_span(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lifting, "_GAPS", (2, 4))
+    takes, _, poses = put_truth(store)
+    draws = put_draws(store, "draws", np.concatenate([pairs_of(number) for number in range(5, 9)]))
+    settings = lifting.LiftedPairsSettings(num_completed_pairs=2)
+    shard = lifting.TOPIC.shard(INPUTS, "between", settings, takes=takes, draws=[draws])
+    result = lifting.TOPIC.compute(shard, store)
+    _, pool, _ = lifting._truth_and_pool(shard, store)
+    (_, first), (_, second) = lifting._spread_places({"hidden": poses["hidden"]}, 2, 4)
+    found = by_name(result.scores)
+    for gap, start in ((2, first), (4, second)):
+        wanted = in_between_errors([poses["hidden"][start : start + gap + 1]], pool)
+        for method, (errors,) in wanted.items():
+            score = found["in_between_error_mean", method, "held_out", f"{gap} frames"]
+            assert score.value == pytest.approx(errors.mean())
+            assert (score.unit, score.count) == ("m", 1)
+    assert ("in_between_error_mean", "real_frames", "learned", "2 frames") not in found
+    assert ("in_between_error_mean", "real_frames", "held_out", "2 frames") in found
+    items = result.items["frames between"]
+    frames = [first + 1, second + 1, second + 2, second + 3]
+    np.testing.assert_allclose(items.times_s, np.array(frames) / RATE_HZ)
+    assert list(items.takes) == ["hidden"] * 4
+
+
+def put_motion(store: Store, poses: Mapping[str, np.ndarray], off_m: float) -> Manifest:
+    """Commit a reconstruction of the hidden take: A as it was, B off to the side; a third is a passer-by."""
+    frames = np.arange(FRAMES - 1)
+    rows: dict[str, list[Any]] = {"person_id": [], "frame": [], "method": [], "op14_m": []}
+    for method, factor in (("nearest_frame", 2.0), ("windows", 1.0)):
+        for person in range(3):
+            true = poses["hidden"][1:, min(person, 1)] @ TURNS["film hidden"].T
+            shift = np.array([off_m * factor, 0.0, 0.0]) if person else np.zeros(3)
+            rows["op14_m"] += list(true * (1.0 + 0.1 * (person == 0) * (factor - 1.0)) + shift)
+            rows["person_id"] += [person] * len(frames)
+            rows["frame"] += frames.tolist()
+            rows["method"] += [method] * len(frames)
+    columns = random_columns("motions", len(rows["frame"])) | rows
+    columns |= {"op14_m": np.array(rows["op14_m"]), "sequence_id": ["film hidden"] * len(rows["frame"])}
+    columns |= {"time_s": np.array(rows["frame"]) / RATE_HZ}
+    facts = {"kind": "motions", "sequence_ids": ["film hidden"], "sequence_takes": ["hidden"], "pitch_deg": 10.0}
+    return put(store, "reconstruction", "film hidden", {"motions": columns}, facts | {"methods": ["windows"]})
+
+
+def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_camera(store: Store) -> None:
+    takes, videos, poses = put_truth(store, "op14_m")
+    motions = put_motion(store, poses, 0.3)
+    shard = reconstruction.TOPIC.shard(
+        INPUTS, "film hidden", motions=[motions], annotations=[videos[1]], takes=[takes[1]]
+    )
+    result = reconstruction.TOPIC.compute(shard, store)
+    found = by_name(result.scores)
+    assert {one.split for one in result.scores} == {"held_out"}
+    for person in (0, 1):
+        item = f"film hidden person {person}"
+        for metric in ("error_root_kept", "error_root_removed", "error_scale_free"):
+            score = found[metric, "windows", "held_out", item]
+            assert score.value == pytest.approx(0.0, abs=1e-6)
+            assert (score.unit, score.count) == ("m", FRAMES - 1)
+    assert not [one for one in result.scores if "person 2" in one.item], "he is not of the take"
+    # A is a tenth too large by the other method: about his mid-hip that is a tenth of the distance of each joint.
+    true = poses["hidden"][1:, 0]
+    hips = true[:, OP14.indices(["left_hip", "right_hip"])].mean(axis=1, keepdims=True)
+    wanted = 0.1 * np.linalg.norm(true - hips, axis=-1).mean()
+    assert found["error_root_kept", "nearest_frame", "held_out", "film hidden person 0"].value == pytest.approx(wanted)
+    apart = found["pair_place_error", "windows", "held_out", "film hidden person 0 with 1"]
+    assert apart.value == pytest.approx(0.3, abs=1e-6)
+    assert found["pair_depth_error", "windows", "held_out", apart.item].value == pytest.approx(0.0, abs=1e-6)
+    assert found["camera_pitch_error", "windows", "held_out", "film hidden"].value == pytest.approx(10.0)
+    assert found["camera_pitch_error", reconstruction.LEVEL, "held_out", "film hidden"].value == pytest.approx(0.0)
+    items = result.items[""]
+    assert list(items.takes) == ["hidden"] * 2 * (FRAMES - 1)
+    np.testing.assert_allclose(items.times_s, np.tile(np.arange(1, FRAMES) / RATE_HZ, 2))
+
+
+def test_what_is_shown_of_a_reconstruction_is_its_last_method_with_the_image_of_each_person(store: Store) -> None:
+    takes, videos, poses = put_truth(store, "op14_m")
+    motions = put_motion(store, poses, 0.3)
+    people, truth, _ = reconstruction.read_reconstructed(store, motions.ref, [videos[1].ref], [takes[1].ref])
+    keypoints = reconstruction._read_keypoints(store, [videos[1].ref], "film hidden")
+    assert keypoints.keys() == {(person, frame) for person in (0, 1) for frame in range(FRAMES - 1)}
+    np.testing.assert_array_equal(keypoints[1, 2], (np.arange(28.0) + 5 * 28).reshape(14, 2))
+    late = [people[0], _without_first(people[1])]
+    shown = reconstruction._shown("film hidden", late, keypoints, truth.cameras["film hidden"], rate_hz=RATE_HZ)
+    assert shown.rate_hz == RATE_HZ
+    px, found, true = shown.keypoints_px, shown.found_m, shown.truth_m
+    np.testing.assert_array_equal(px[2, 1], keypoints[1, 2])
+    assert np.isnan(px[0, 1]).all()
+    assert np.isnan(found[0, 1]).all()
+    np.testing.assert_allclose(np.linalg.norm(found[1:, 1] - true[1:, 1], axis=-1), 0.3, atol=1e-6)
+    np.testing.assert_allclose(found[:, 0], true[:, 0], atol=1e-6)
+
+
+def _without_first(person: Any) -> Any:
+    from dataclasses import replace
+
+    found = {name: values[1:] for name, values in person.found_m.items()}
+    return replace(
+        person, truth_m=person.truth_m[1:], found_m=found, frames=person.frames[1:], times_s=person.times_s[1:]
+    )
+
+
+class Features:
+    """Stands for the classifier: the features of a clip are two of its numbers, it knows who is right of the other."""
+
+    labels = ("left", "right")
+
+    def features(self, clips: np.ndarray) -> np.ndarray:
+        return np.asarray(clips, dtype=np.float64)[:, 0, 0, :2, 0]
+
+    def accuracy(self, clips: Mapping[str, np.ndarray]) -> float:
+        right = {kind: (found[:, 0, 0, 0, 0] > 0) == (kind == "right") for kind, found in clips.items()}
+        return 100.0 * float(np.concatenate(list(right.values())).mean())
+
+
+def clips(number: int, count: int, middle: float = 0.0) -> np.ndarray:
+    return np.random.default_rng(number).normal(middle, 1.0, (count, 20, 2, 22, 3))
+
+
+def test_models_are_compared_with_what_the_solver_made_of_the_other_half() -> None:
+    made = {
+        name: [
+            _Clips("left" if at % 2 else "right", f"take {at}", clips(10 * at + number, 2 + at % 3, middle))
+            for at in range(12)
+        ]
+        for number, (name, middle) in enumerate({"solver": 0.0, "model": 2.0}.items())
+    }
+    first, second = [0, 3, 4, 7, 8, 11], [1, 2, 5, 6, 9, 10]
+    found = by_name(_compare(Features(), made, first, second, split="s test", item="all"))  # type: ignore[arg-type]
+    real = np.concatenate([made["solver"][at].clips[:, 0, 0, :2, 0] for at in second])
+    units = [f"take {at}" for at in second for _ in range(2 + at % 3)]
+    for name in ("solver", "model"):
+        own = np.concatenate([made[name][at].clips[:, 0, 0, :2, 0] for at in first])
+        own_units = [f"take {at}" for at in first for _ in range(2 + at % 3)]
+        figures = distances(real, own)
+        for metric, value in figures.items():
+            assert found[metric, name, "s test", "all"].value == pytest.approx(value)
+            assert found[metric, name, "s test", "all"].count == len(own)
+        low, high = kernel_interval(real, own, units, own_units)
+        kid = found["KID", name, "s test", "all"]
+        assert (kid.low, kid.high) == pytest.approx((KID_FACTOR * low, KID_FACTOR * high))
+        right = [((one.clips[:, 0, 0, 0, 0] > 0) == (one.kind == "right")) for one in made[name]]
+        share = found["recognised", name, "s test", "all"]
+        assert share.value == pytest.approx(100.0 * np.concatenate(right).mean())
+        assert (share.unit, share.count) == ("%", 36)
+    alone = by_name(_compare(Features(), made, first, [], split="s test", item="all"))  # type: ignore[arg-type]
+    assert {metric for metric, *_ in alone} == {"recognised"}
+
+
+def test_generated_motion_is_compared_with_half_of_the_real_clips_of_its_takes() -> None:
+    names = [f"take {number}" for number in range(6)]
+    real = {name: clips(number, 2) for number, name in enumerate(names)} | {"elsewhere": clips(7, 5)}
+    kinds = dict.fromkeys(names, "waltz") | {"elsewhere": "hug"}
+    made = {
+        "model": {name: [real[name] + 1.0, real[name] + 2.0] for name in names},
+        "solver": {name: [real[name]] for name in names[1:]},
+    }
+    scores = distribution_scores(
+        Features(),
+        real,
+        kinds,
+        made,
+        np.random.default_rng(0),
+        split="s test",  # type: ignore[arg-type]
+    )
+    found = by_name(scores)
+    assert {one.method for one in scores} == {"real_halves", "strangers", "model"}, "the solver lacks a take"
+    assert {one.split for one in scores} == {"s test"}
+    assert {one.count for one in scores} == {6}
+    # Both motions of a take are a metre apart in each of two features, at every time.
+    assert found["multimodality", "model", "s test", "all"].value == pytest.approx(np.sqrt(2.0))
+    assert ("multimodality", "real_halves", "s test", "all") not in found
+    diversity = found["diversity", "model", "s test", "all"].value
+    assert 0.5 < diversity / found["diversity", "real_halves", "s test", "all"].value < 2.0
+    assert found["FID", "model", "s test", "all"].value > found["FID", "real_halves", "s test", "all"].value + 1.0
+    kid = found["KID", "model", "s test", "all"]
+    assert kid.low < kid.value < kid.high
+    assert kid.value > found["KID", "real_halves", "s test", "all"].high
+    few = distribution_scores(
+        Features(),
+        {"a": clips(1, 2)},
+        kinds,
+        {"model": {"a": [clips(4, 2)]}},
+        np.random.default_rng(0),
+        split="s",  # type: ignore[arg-type]
+    )
+    assert few == []
+
+
+def test_the_truth_is_read_with_its_cameras_and_frames(store: Store) -> None:
+    takes, videos, poses = put_truth(store)
+    truth = GroundTruth.read(store, [one.ref for one in takes], [one.ref for one in videos])
+    np.testing.assert_allclose(truth.takes["hidden"], poses["hidden"], atol=1e-6)
+    assert truth.held_out == {"hidden"}
+    assert truth.frames["film seen", 0] == ("seen", 1)
+    assert len(truth.frames) == 2 * (FRAMES - 1)
+    camera = truth.cameras["film hidden"]
+    assert isinstance(camera, PinholeCamera)
+    assert (camera.focal_px, camera.image_size_px) == (500.0, (640, 480))
+    np.testing.assert_allclose(camera.camera_from_world_rotmat, TURNS["film hidden"])
+    np.testing.assert_allclose(camera.position_m, [0.0, 1.0, 4.0])
+    assert truth.where([("seen", 0), ("hidden", 4)]) == (["seen", "hidden"], [0.0, 4 / RATE_HZ])
+    json.dumps(truth.where([("seen", 1)]))

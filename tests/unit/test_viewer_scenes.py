@@ -1,0 +1,136 @@
+"""What the viewer makes of rows: who is shown and behind, in which axes, and the figures of each frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from flows.viewing.kinds import KINDS
+from flows.viewing.scene import Scene
+from flows.viewing.seen import LIMBS22
+from flows.viewing.shelf import Shelf
+from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.skeletons import BODY22, PAIR17
+from storage_schema import Manifest, Store
+from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
+from tests.builders.storage_rows import put, random_columns
+
+
+def scene_of(shelf: Shelf, table: str, item: int = 0) -> Scene:
+    part = next(part for part in shelf.parts if part.table == table)
+    return KINDS[table].scene(shelf, part, shelf.items(part)[item])
+
+
+def test_a_lifted_pair_stands_before_the_capture_as_its_camera_saw_it_with_its_image(store: Store) -> None:
+    _, videos, poses = put_truth(store)
+    rows = [
+        lifted_row(poses, "seen", 1, "fitted", 0.4) | {"expected_error_m": 0.21, "residual_m": 0.03},
+        lifted_row(poses, "hidden", 3, "fitted", 0.2) | {"expected_error_m": 0.12, "residual_m": 0.02},
+        lifted_row(poses, "seen", 2, "fitted", 0.2)
+        | {"sequence_id": "of nobody", "expected_error_m": 0.3, "residual_m": 0.04},
+    ]
+    lifted = put_lifted(store, "all", [row | {"num_joints_seen": 20 + at} for at, row in enumerate(rows)])
+    shelf = Shelf(store, [lifted.ref], [video.ref for video in videos])
+    scene = scene_of(shelf, "lifted_pairs")
+    assert (scene.num_frames, scene.behind_name, scene.has_floor) == (3, "as captured", False)
+    np.testing.assert_allclose(scene.people.positions_m, [row["pair17_m"] for row in rows], atol=1e-6)
+    assert scene.behind is not None
+    true = poses["hidden"][4] @ TURNS["film hidden"].T
+    np.testing.assert_allclose(scene.behind.frame(1), true - true.reshape(-1, 3).mean(axis=0), atol=1e-6)
+    assert np.isnan(scene.behind.frame(2)).all(), "nobody knows who it was"
+    np.testing.assert_allclose(scene.curves["expected_error_m"], [0.21, 0.12, 0.3])
+    np.testing.assert_allclose(scene.curves["residual_m"], [0.03, 0.02, 0.04])
+    assert scene.say(1) == ["film hidden frame 3, persons 0 and 1", "21 of 28 joints seen"]
+    (flat,) = scene.images(1)
+    assert (flat.title, flat.size_px, flat.skeleton) == ("film hidden frame 3", (640, 480), PAIR17)
+    np.testing.assert_allclose(flat.points_px, np.arange(6 * 34.0, 8 * 34.0).reshape(2, 17, 2))
+    assert scene.images(2) == []
+
+
+def test_draws_have_the_figures_of_their_chain_beside_other_chains_of_their_seed(store: Store) -> None:
+    chains = [("ic", 0, 0, 3), ("ic", 0, 1, 2), ("ic", 1, 0, 4), ("cartesian", 0, 0, 3)]
+    count = sum(size for *_, size in chains)
+    columns = random_columns("draws", count) | {
+        name: [chain[at] for chain in chains for _ in range(chain[-1])]
+        for at, name in enumerate(("density", "seed_index", "chain"))
+    }
+    pairs_m = np.concatenate([pairs_of(number)[:3] for number in range(count)])[:count]
+    columns |= {"pair17_m": pairs_m, "num_accepted": list(range(count)), "log_density": np.arange(count) - 50.0}
+    columns |= {"log_prior": np.arange(count) - 20.0, "log_likelihood": np.full(count, -30.0)}
+    columns |= {"sequence_id": ["film seen", *[None] * (count - 1)], "sequence_frame": [4, *[None] * (count - 1)]}
+    columns["dissimilarity_m"] = np.array([0.0123, *[np.nan] * (count - 1)])
+    draws = put(store, "chains", "draws", {"draws": columns}, {"kind": "draws", "density": "ic"}, density="ic")
+    shelf = Shelf(store, [draws.ref])
+    labels = [item.label for item in shelf.items(shelf.parts[0])]
+    scene = scene_of(shelf, "draws", labels.index("ic seed 0 chain 0"))
+    np.testing.assert_allclose(scene.people.positions_m, pairs_m[:3], atol=1e-6)
+    assert list(scene.curves) == ["log_density", "log_prior", "log_likelihood"], "the first is compared with others"
+    np.testing.assert_array_equal(scene.curves["log_density"], [-50.0, -49.0, -48.0])
+    np.testing.assert_array_equal(scene.others, [[-47.0, -46.0, np.nan]])
+    matches = "matches film seen frame 4, d_I 1.23 cm"
+    assert scene.say(0) == ["steps accepted since the draw before: 0", matches]
+    assert scene.say(2) == ["steps accepted since the draw before: 2"]
+    assert scene.images(2) == [], "it matches nothing"
+    (alone,) = scene.images(0)
+    assert alone.title == "this draw, seen from its view"
+
+
+def put_reconstruction(store: Store, found_m: np.ndarray, pitch_deg: float) -> Manifest:
+    """Commit what was reconstructed of the held-out take (frame, 2, 22, 3), the last frames first."""
+    frames = np.repeat(np.arange(FRAMES - 1), 2)[::-1]
+    persons = np.tile([0, 1], FRAMES - 1)[::-1]
+    columns = random_columns("motions", len(frames)) | {
+        "sequence_id": ["film hidden"] * len(frames),
+        "method": ["windows"] * len(frames),
+        "person_id": persons,
+        "frame": frames,
+        "time_s": frames / RATE_HZ,
+        "body22_m": found_m[frames, persons],
+        "op14_m": np.zeros((len(frames), 14, 3)),
+        "score_m": 0.1 * persons + 0.01 * frames,
+        "match_take_id": [f"take {person}" for person in persons],
+        "match_frame": (10 * frames).tolist(),
+    }
+    facts = {"kind": "motions", "sequence_ids": ["film hidden"], "sequence_takes": ["hidden"], "pitch_deg": pitch_deg}
+    return put(store, "reconstruction", "film hidden", {"motions": columns}, facts)
+
+
+def test_a_reconstruction_stands_upright_before_the_capture_and_its_error_is_of_limbs_about_the_root(
+    store: Store,
+) -> None:
+    """Bodies are a tenth too large, and three metres away: a tenth of the distance of limbs from the root is wrong."""
+    _, videos, poses = put_truth(store, "body22_m")
+    true = poses["hidden"][1:] @ TURNS["film hidden"].T
+    roots = true[:, :, [BODY22.root]]
+    motions = put_reconstruction(store, roots + 1.1 * (true - roots) + [0.0, 0.0, 3.0], 15.0)
+    scene = scene_of(Shelf(store, [motions.ref], [videos[1].ref]), "motions")
+    upright = DatabaseCamera(math.radians(15.0)).camera_from_upright_rotmat
+    wanted = (roots + 1.1 * (true - roots) + [0.0, 0.0, 3.0]) @ upright
+    np.testing.assert_allclose(scene.people.positions_m, wanted, atol=1e-5)
+    error = 0.1 * np.linalg.norm((true - roots)[:, :, LIMBS22], axis=-1).mean(axis=(1, 2))
+    np.testing.assert_allclose(scene.curves["error_m"], error, atol=1e-5)
+    np.testing.assert_allclose(scene.curves["match_distance_m"], 0.05 + 0.01 * np.arange(FRAMES - 1), atol=1e-6)
+    assert (scene.rate_hz, scene.behind_name) == (pytest.approx(RATE_HZ), "as captured")
+    assert scene.behind is not None
+    behind, shown = scene.behind.positions_m, scene.people.positions_m
+    assert behind[..., 1].min() == pytest.approx(shown[..., 1].min(), abs=1e-5)
+    middles = [motion[0, :, BODY22.root].mean(axis=0) for motion in (behind, shown)]
+    np.testing.assert_allclose(middles[0][[0, 2]], middles[1][[0, 2]], atol=1e-5)
+    shape = [motion - motion[:1, :1, :1] for motion in (behind, true @ upright)]
+    np.testing.assert_allclose(*shape, atol=1e-5)
+    assert scene.say(3)[0] == "match take 0 frame 30" or scene.say(3)[0] == "match take 1 frame 30"
+    assert [scene.number_of(frame) for frame in range(3)] == [0, 1, 2]
+    (flat,) = scene.images(2)
+    assert flat.title == "film hidden frame 2"
+
+
+def test_the_camera_of_a_reconstruction_is_where_its_people_are_seen_in_the_image(store: Store) -> None:
+    _, videos, poses = put_truth(store, "body22_m")
+    motions = put_reconstruction(store, poses["hidden"][1:] @ TURNS["film hidden"].T, 0.0)
+    without = scene_of(Shelf(store, [motions.ref]), "motions")
+    assert without.camera is None
+    assert without.behind is None
+    assert list(without.curves) == ["match_distance_m"]
+    assert scene_of(Shelf(store, [motions.ref], [videos[1].ref]), "motions").camera is not None

@@ -22,8 +22,9 @@ _MOST_VOXELS = 300
 """A body is at most so many voxels long: a joint that lies far off must not fill the memory."""
 _STEPS, _STEP_M = 2, 1e-4
 """Newton's steps of each vertex onto the surface, and the step of differences."""
-_NEAR = 3.0
-"""Voxels within so many sides of the surface are computed."""
+_NEAR = 2.0
+"""Voxels within so many sides of the surface are computed: an edge that crosses it has both ends within one side, and
+what is known of a voxel before is off by 0.87 sides at most."""
 _SOFT = 0.8
 """Width of the change from one bone to the next, in radii."""
 _MAX_JOINTS, _LEAST = 4, 0.01
@@ -64,8 +65,11 @@ def _distance(x: float, y: float, z: float, cones: Array, cone: int) -> float:
 
 @inner_kernel()
 def _scan(x: float, y: float, z: float, cones: Array, width: float, near: Array, active: Integers) -> int:
-    """Write which cones count at a point, and their distances; return how many."""
-    least = math.inf
+    """Write which cones count at a point, and their distances; return how many.
+
+    The first of `active` is a guess: one that counts nearby, so that most others are told by their balls alone.
+    """
+    least = _distance(x, y, z, cones, active[0])
     for cone in range(len(cones)):
         dx, dy, dz = x - cones[cone, 11], y - cones[cone, 12], z - cones[cone, 13]
         bound = least + _BLENDS * width + cones[cone, 14]  # outside its ball a cone is too far to count
@@ -82,17 +86,21 @@ def _scan(x: float, y: float, z: float, cones: Array, width: float, near: Array,
 
 
 @inner_kernel()
-def _blend(count: int, active: Integers, near: Array, is_beside: Flags, width: float) -> float:
-    """Return the smooth union of the cones that count at a point."""
+def _blend(count: int, active: Integers, near: Array, power: Array, is_beside: Flags, width: float) -> float:
+    """Return the smooth union of the cones that count at a point; `power` (cone,) is room for what they share."""
     least = near[active[0]]
     for at in range(1, count):
         least = min(least, near[active[at]])
+    if count == 1:
+        return least
+    for at in range(count):
+        power[at] = math.exp((least - near[active[at]]) / width)
     found = least
     for at in range(count):
         total = 0.0
         for other in range(count):
             if is_beside[active[at], active[other]]:
-                total += math.exp((least - near[active[other]]) / width)
+                total += power[other]
         found = min(found, near[active[at]] - width * math.log(total))
     return found
 
@@ -111,10 +119,10 @@ def surface_field(points: Array, cones: Array, is_beside: Flags, width: float) -
         width: Of the blend, metres.
     """
     values = np.empty(len(points))
-    near, active = np.empty(len(cones)), np.empty(len(cones), dtype=np.int64)
+    near, power, active = np.empty(len(cones)), np.empty(len(cones)), np.zeros(len(cones), dtype=np.int64)
     for row in range(len(points)):
         count = _scan(points[row, 0], points[row, 1], points[row, 2], cones, width, near, active)
-        values[row] = _blend(count, active, near, is_beside, width)
+        values[row] = _blend(count, active, near, power, is_beside, width)
     return values
 
 
@@ -130,19 +138,19 @@ def carry_onto(points: Array, cones: Array, is_beside: Flags, width: float, step
         step: Greatest length of a step of Newton's, metres.
     """
     normals, slope = np.empty(points.shape), np.empty(3)
-    near, active = np.empty(len(cones)), np.empty(len(cones), dtype=np.int64)
+    near, power, active = np.empty(len(cones)), np.empty(len(cones)), np.zeros(len(cones), dtype=np.int64)
     for row in range(len(points)):
         point = points[row]
         for number in range(_STEPS + 1):
             count = _scan(point[0], point[1], point[2], cones, width, near, active)
-            value = _blend(count, active, near, is_beside, width)
+            value = _blend(count, active, near, power, is_beside, width)
             size = 0.0
             for axis in range(3):
                 point[axis] += _STEP_M
                 for at in range(count):
                     near[active[at]] = _distance(point[0], point[1], point[2], cones, active[at])
                 point[axis] -= _STEP_M
-                slope[axis] = (_blend(count, active, near, is_beside, width) - value) / _STEP_M
+                slope[axis] = (_blend(count, active, near, power, is_beside, width) - value) / _STEP_M
                 size += slope[axis] ** 2
             if number < _STEPS:
                 length = max(-step, min(step, value / max(size, 0.25)))
@@ -154,13 +162,35 @@ def carry_onto(points: Array, cones: Array, is_beside: Flags, width: float, step
 
 
 @compiled()
-def cone_distances(points: Array, cones: Array) -> Array:
-    """Return signed distances of points (n, 3) to each round cone (n, cone), metres."""
-    values = np.empty((len(points), len(cones)))
+def _weigh(
+    points: Array, cones: Array, is_beside: Flags, joints: Integers, least: Array, width: Array, num_joints: int
+) -> Array:
+    """Return how much of each point (n, 3) the cones give to each joint (n, J); what is under `_LEAST` is nothing.
+
+    Args:
+        points: Metres.
+        cones: As `_packed` (cone, 15), metres.
+        is_beside: Which of them meet (cone, cone).
+        joints: Joint of each (cone,).
+        least: Distances below this count as this (cone,), metres.
+        width: Of the change from one cone to the next, by the nearest (cone,), metres.
+        num_joints: J.
+    """
+    weights, away = np.zeros((len(points), num_joints)), np.empty(len(cones))
     for row in range(len(points)):
+        nearest = 0
         for cone in range(len(cones)):
-            values[row, cone] = _distance(points[row, 0], points[row, 1], points[row, 2], cones, cone)
-    return values
+            away[cone] = max(_distance(points[row, 0], points[row, 1], points[row, 2], cones, cone), least[cone])
+            if away[cone] < away[nearest]:
+                nearest = cone
+        for cone in range(len(cones)):
+            if is_beside[nearest, cone]:
+                beyond = (away[cone] - away[nearest]) / width[nearest]
+                weights[row, joints[cone]] += math.exp(-beyond * beyond)
+        for joint in range(num_joints):
+            if weights[row, joint] < _LEAST:
+                weights[row, joint] = 0.0
+    return weights
 
 
 def mesh_of(cones: Cones) -> tuple[Array, Integers, Array]:
@@ -195,13 +225,11 @@ def joint_weights(points: Array, cones: Cones, num_joints: int) -> Array:
     The weight of a cone falls as a Gaussian of its distance beyond that of the nearest; only cones that meet the
     nearest take part, so that an arm beside the body does not move the trunk.
     """
-    away = np.maximum(cone_distances(points, _packed(cones)), -0.5 * cones.radii_m.min(axis=-1))
-    nearest = away.argmin(axis=1)
-    width = _SOFT * cones.radii_m.mean(axis=-1)[nearest][:, None]
-    beyond = (away - away.min(axis=1, keepdims=True)) / width
-    by_cone = np.where(cones.is_beside[nearest], np.exp(-(beyond**2)), 0.0)
-    weights = by_cone @ (cones.joints[:, None] == np.arange(num_joints)).astype(np.float64)
-    fourth = max(num_joints - _MAX_JOINTS, 0)
-    least = np.partition(weights, fourth, axis=1)[:, fourth, None]
-    weights[(weights < least) | (weights < _LEAST)] = 0.0
+    least, width = -0.5 * cones.radii_m.min(axis=-1), _SOFT * cones.radii_m.mean(axis=-1)
+    weights = _weigh(points, _packed(cones), cones.is_beside, cones.joints, least, width, num_joints)
+    if num_joints > _MAX_JOINTS:
+        fourth = num_joints - _MAX_JOINTS
+        is_more = np.flatnonzero((weights > 0.0).sum(axis=1) > _MAX_JOINTS)
+        kept = np.partition(weights[is_more], fourth, axis=1)[:, fourth, None]
+        weights[is_more] = np.where(weights[is_more] < kept, 0.0, weights[is_more])
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))

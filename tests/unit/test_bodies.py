@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pasdedeux.bodies import Body, body_of, standing_motion
 from pasdedeux.bodies.shape import Cones, cones_of
-from pasdedeux.bodies.surface import _SMOOTH_M, _packed, cone_distances, surface_field
+from pasdedeux.bodies.surface import _SMOOTH_M, _packed, surface_field
 from pasdedeux.plausibility.capsules import radius_per_height, standing_m
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from tests.builders.moving_pairs import swaying_pair
@@ -66,9 +66,10 @@ def test_the_surface_lies_within_a_centimetre_of_the_capsules(stature_m: float) 
         np.array([parent for parent, _ in BODY22.bones]),
         np.eye(len(bones), dtype=bool),
     )
-    beside = field(body.vertices_m, capsules)
+    beside, num, one = field(body.vertices_m, capsules), len(cones.joints), np.ones((1, 1), dtype=bool)
     assert beside.min() > -0.01
-    by_cone = cone_distances(body.vertices_m, _packed(cones))
+    alone = [Cones(*(part[[at]] for part in (cones.ends_m, cones.radii_m, cones.joints)), one) for at in range(num)]
+    by_cone = np.stack([field(body.vertices_m, cone) for cone in alone], axis=1)
     is_bone = np.array([any(np.allclose(ends, bone) for bone, _ in bones) for ends in cones.ends_m])
     is_covered = is_bone[by_cone.argmin(axis=1)]
     assert 0.4 < is_covered.mean() < 0.9, "head, hands, heels and flanks lie outside"

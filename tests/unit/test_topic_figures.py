@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,18 @@ from pasdedeux.completion.errors import completion_errors, in_between_errors
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, kernel_interval
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
-from tasks.evaluation import lifting, reconstruction
+from tasks.evaluation import lifting, models, reconstruction
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.realism import _Clips, _compare
 from tasks.stage import StageInputs
+from tests.builders.drawn_stores import Drawn, drawn_store
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
 from tests.builders.storage_rows import put, random_columns
+from tests.builders.stored_models import put_model
 
 INPUTS = StageInputs(manifests={}, seed=3)
 
@@ -177,6 +181,51 @@ def test_frames_between_have_the_errors_of_their_span(store: Store, monkeypatch:
     frames = [first + 1, second + 1, second + 2, second + 3]
     np.testing.assert_allclose(items.times_s, np.array(frames) / RATE_HZ)
     assert list(items.takes) == ["hidden"] * 4
+
+
+def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) -> None:
+    """Variants are their take 1, 2 and 3 m aside: so far off is who takes the source for the variant."""
+    takes = [Drawn("waltz", 6, False, ("pass", "pass", "warn")), Drawn("hug", 4, False, ("pass",))]
+    store, made = drawn_store(str(tmp_path / "store"), takes)
+    variants = [one for one in store.artifacts() if "variants" in one.tables]
+    test = {made[0].name: ["v0", "v2"], made[1].name: ["v0"]}
+    stored = [put_model(store, model, "random", made, test) for model in (CopyModel(), NaiveFkModel())]
+    manifests = {"models": stored, "poses": made, "variants": variants, "variant_quality": variants}
+    (shard,) = models.TOPIC.plan(StageInputs(manifests=manifests, seed=3), models.ModelsSettings())
+    result = models.TOPIC.compute(shard, store)
+    found = by_name(result.scores)
+    for item, value, count in (("all", 500 / 3, 3), ("waltz", 200.0, 2), ("hug", 100.0, 1)):
+        score = found["E_r", "copy", "random test", item]
+        assert score.value == pytest.approx(value, rel=1e-5)
+        assert (score.unit, score.count) == ("cm", count)
+        assert ("E_r", "solver", "random test", item) not in found, "it has no distance to itself"
+    bones = found["E_b", "copy", "random test", "all"]
+    assert (bones.value, bones.unit) == (pytest.approx(0.0, abs=1e-3), "mm")
+    items = result.items["random"]
+    assert list(items.takes) == [made[0].name] * 12 + [made[1].name] * 4
+    np.testing.assert_allclose(items.values["copy"], [100.0] * 6 + [300.0] * 6 + [100.0] * 4, rtol=1e-5)
+    np.testing.assert_allclose(items.times_s, np.concatenate([np.arange(6), np.arange(6), np.arange(4)]) / 30.0)
+    assert items.count == 3
+    assert result.baselines == ["copy", "naive_fk"]
+    assert result.notes[0].startswith(
+        "Split random: 3 of 3 test variants, of 2 takes, learned from 2. Intervals are over"
+    )
+    shown = result.shown
+    assert [(key.take_id, key.variant_id) for key in shown.keys] == [
+        (made[0].name, "v0"),
+        (made[0].name, "v2"),
+        (made[1].name, "v0"),
+    ]
+    assert [key.furthest_scale for key in shown.keys] == pytest.approx([1.0, 1.2, 1.0])
+    said, cases = shown.cases
+    assert list(cases) == ["best", "median", "worst"]
+    assert f"worst: {made[0].name}, v2, " in said
+    item, predicted = cases["worst"]
+    assert item.variant_id == "v2"
+    assert predicted.shape == item.motion_m.shape
+    fewer = models.ModelsSettings(num_test_variants=1)
+    (shard,) = models.TOPIC.plan(StageInputs(manifests=manifests, seed=3), fewer)
+    assert by_name(models.TOPIC.compute(shard, store).scores)["E_r", "copy", "random test", "all"].count == 1
 
 
 def put_motion(store: Store, poses: Mapping[str, np.ndarray], off_m: float) -> Manifest:

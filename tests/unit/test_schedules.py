@@ -1,0 +1,106 @@
+"""What a deployment tells Prefect's server, without one: pool, queue of the store, automation, and the build itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+ZOMBIES = "pasdedeux: builds whose process is gone"
+
+
+class Server:
+    """Stands for the client of a server that has some pools, queues and automations; it notes what is made."""
+
+    def __init__(
+        self, pools: tuple[str, ...] = (), queues: tuple[tuple[str, str], ...] = (), automations: Any = ()
+    ) -> None:
+        self.pools, self.queues, self.automations = pools, queues, automations
+        self.made: list[tuple[Any, ...]] = []
+
+    def read_work_pool(self, name: str) -> None:
+        self._found(name in self.pools)
+
+    def create_work_pool(self, pool: Any) -> None:
+        self.made.append(("pool", pool.name, pool.type))
+
+    def read_work_queue_by_name(self, name: str, work_pool_name: str) -> None:
+        self._found((work_pool_name, name) in self.queues)
+
+    def create_work_queue(self, name: str, work_pool_name: str, concurrency_limit: int) -> None:
+        self.made.append(("queue", work_pool_name, name, concurrency_limit))
+
+    def read_automations_by_name(self, name: str) -> list[Any]:
+        return [one for one in self.automations if one.name == name]
+
+    def update_automation(self, number: int, automation: Any) -> None:
+        self.made.append(("updated", number, automation.name))
+
+    def create_automation(self, automation: Any) -> None:
+        self.made.append(("automation", automation.name))
+
+    @staticmethod
+    def _found(is_there: bool) -> None:
+        from prefect.exceptions import ObjectNotFound
+
+        if not is_there:
+            raise ObjectNotFound(Exception("it is not there"))
+
+
+def test_a_store_has_a_queue_for_one_build_at_a_time_and_what_is_there_is_not_made_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from flows import schedules
+
+    applied: list[Any] = []
+    monkeypatch.setattr(schedules.RunnerDeployment, "apply", lambda self: applied.append(self))
+
+    def deploy(server: Server, store: str, **when: Any) -> Any:
+        @contextmanager
+        def client(*, sync_client: bool) -> Iterator[Server]:
+            assert sync_client
+            yield server
+
+        monkeypatch.setattr(schedules, "get_client", client)
+        told = {"study": "duets.toml", "store": store}
+        name = schedules.deploy("duets", told, **{"cron": None, "every": None, **when}, pool="own")
+        assert name == f"{schedules.dataset.name}/duets"
+        return applied.pop()
+
+    first = Server()
+    made = deploy(first, "/data/one", every=timedelta(hours=1))
+    queue = made.work_queue_name
+    assert first.made == [("pool", "own", "process"), ("queue", "own", queue, 1), ("automation", ZOMBIES)]
+    assert (made.name, made.work_pool_name) == ("duets", "own")
+    assert made.parameters == {"study": "duets.toml", "store": "/data/one"}
+    assert made.description == "Brings duets.toml up to date in /data/one"
+    assert [one.schedule.interval for one in made.schedules] == [timedelta(hours=1)]
+    assert made.concurrency_limit == 1
+    assert made.concurrency_options.collision_strategy.value == "CANCEL_NEW"
+    assert made.job_variables["env"] == {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30", "DO_NOT_TRACK": "1"}
+    there = SimpleNamespace(id=7, name=ZOMBIES), SimpleNamespace(id=8, name="of somebody else")
+    known = Server(("own",), (("own", queue),), there)
+    again = deploy(known, "/data/one", cron="0 2 * * *")
+    assert known.made == [("updated", 7, ZOMBIES)]
+    assert [one.schedule.cron for one in again.schedules] == ["0 2 * * *"]
+    other = Server(("own",), (("own", queue),))
+    assert deploy(other, "/data/two").work_queue_name != queue
+    assert [one[0] for one in other.made] == ["queue", "automation"]
+
+
+def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:
+    from flows.schedules import dataset, zombies
+
+    trigger = zombies().trigger
+    assert (trigger.within, trigger.threshold) == (timedelta(seconds=120), 1)
+    assert trigger.after == {"prefect.flow-run.heartbeat"}
+    ends = {f"prefect.flow-run.{end}" for end in ("Completed", "Failed", "Cancelled", "Crashed")}
+    assert trigger.expect == {"prefect.flow-run.heartbeat"} | ends
+    names = [one.root.get("prefect.resource.name") for one in trigger.match_related]
+    assert names == [dataset.name, None], "runs of other flows are not ours"
+    (action,) = zombies().actions
+    assert action.state.value == "CRASHED"

@@ -18,14 +18,16 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
-from tasks.evaluation import lifting, models, reconstruction
+from tasks.evaluation import generation, lifting, models, reconstruction
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.realism import _Clips, _compare
 from tasks.stage import StageInputs
+from tasks.takes import read_take
 from tests.builders.drawn_stores import Drawn, drawn_store
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
 from tests.builders.storage_rows import put, random_columns
+from tests.builders.stored_datasets import put_clips
 from tests.builders.stored_models import put_model
 
 INPUTS = StageInputs(manifests={}, seed=3)
@@ -226,6 +228,46 @@ def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) 
     fewer = models.ModelsSettings(num_test_variants=1)
     (shard,) = models.TOPIC.plan(StageInputs(manifests=manifests, seed=3), fewer)
     assert by_name(models.TOPIC.compute(shard, store).scores)["E_r", "copy", "random test", "all"].count == 1
+
+
+def test_generated_motion_is_judged_by_the_contacts_of_its_take_in_millimetres(store: Store) -> None:
+    """The scene is a tenth larger, so is the distance of each contact; what the solver made is the take."""
+    take, solved = put_clips(store, "waltz", 1, 30, ["v0", "v1"])
+    other, _ = put_clips(store, "hug", 2, 30, ["v0"])
+    model = put_model(store, CopyModel(), "random", [take], {"waltz": ["v0"]})
+    people = read_take(store, take.ref).source
+    larger = put_clips(store, "larger", 1, 30, ["g0"])[1]
+    rows = {name: store.read(larger.ref, "variants")[name] for name in ("frame", "person", "time_s", "body22_unitquat")}
+    rows |= {"take_id": ["waltz"] * 60, "variant_id": ["g0"] * 60}
+    rows["body22_m"] = 1.1 * people.positions_m.reshape(-1, 22, 3)
+    quality = random_columns("variant_quality", 1) | {"take_id": ["waltz"], "variant_id": ["g0"], "verdict": ["pass"]}
+    quality["bone_scale"] = [np.ones(44)]
+    origin = {"model": "copy", "split": "random", "artifact": model.ref.key, "segment": 0, "seed": 0}
+    facts = {**solved.facts, "variants": ["g0"], "origin": origin, "told": {**solved.facts["told"], "variants": ["g0"]}}
+    made = put(store, "generation", "waltz", {"variants": rows, "variant_quality": quality}, facts, (take,))
+    elsewhere = {**facts, "origin": origin | {"artifact": "0" * 64}}
+    not_ours = put(store, "generation", "not ours", {"variants": rows, "variant_quality": quality}, elsewhere, (take,))
+    manifests = {"models": [model], "poses": [take, other], "variants": [solved, made, not_ours]}
+    inputs = StageInputs(manifests=manifests, seed=3)
+    (shard,) = generation.TOPIC.plan(inputs, generation.LearnedSettings())
+    assert [len(shard.refs(role)) for role in ("generated", "solved", "takes")] == [1, 1, 2]
+    result = generation.TOPIC.compute(shard, store)
+    contacts = people.contacts()
+    held = np.nonzero(contacts.is_held)
+    vectors = contacts.vectors(people.positions_m.reshape(30, -1, 3))[held] + contacts.places_m[held]
+    found = by_name(result.scores)
+    error = found["contact_error", "copy", "random test", "all"]
+    assert error.value == pytest.approx(100.0 * np.linalg.norm(vectors, axis=-1).mean(), rel=1e-3)
+    assert (error.unit, error.count) == ("mm", len(vectors))
+    for method in ("solver", "naive_fk"):
+        assert found["contact_error", method, "random test", "all"].value == pytest.approx(0.0, abs=1e-2)
+    items = result.items[""]
+    assert set(items.takes) == {"waltz"}
+    assert items.count == 1
+    np.testing.assert_allclose(items.times_s, held[0] / 30.0)
+    assert result.baselines == ("naive_fk", "strangers")
+    assert result.notes[0].endswith("of 1 test take; it learned from other scales of them.")
+    assert list(result.shown.motions_m) == ["g0"]
 
 
 def put_motion(store: Store, poses: Mapping[str, np.ndarray], off_m: float) -> Manifest:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.plain_text import counted
 from tasks.downloads import FetchError, download
-from tasks.ingest.film.detector_files import NetworkAddress, check_network, network_address
+from tasks.ingest.film.detector_files import KNOWN_DETECTORS, NetworkAddress, check_network, network_address
 from tasks.ingest.takes.known_sources import CMU_CREDIT, has_changed, note_fetched
 from tasks.user_files import read_file
 
@@ -110,10 +111,20 @@ def database(
 
 @_group.command("detector")
 def detector(
-    address: Annotated[str, typer.Argument(metavar="ADDRESS", help="https://HOST/FILE.onnx#sha256=DIGEST.")],
+    address: Annotated[
+        str, typer.Argument(metavar="NAME_OR_ADDRESS", help="rtmo-m, or https://HOST/FILE.onnx#sha256=DIGEST.")
+    ],
+    is_agreed: Annotated[bool, Option("--yes", help="Do not ask whether a named one is to be downloaded.")] = False,
 ) -> None:
-    """Download the network of a detector, once, for the studies and commands that state its address."""
-    network = network_address(address)
+    """Download the network of a detector, once, for the studies and commands that state its name or address."""
+    known = KNOWN_DETECTORS.get(address)
+    network = known.address if known else network_address(address)
+    if known and not network.kept.exists():
+        echo(f"{address}: {known.meaning}; {known.num_bytes / 1e6:.0f} MB, licence {known.licence}, from {network.url}")
+        is_agreed = is_agreed or (sys.stdin.isatty() and typer.confirm("download it?"))
+        if not is_agreed:
+            echo("nothing was done yet; the same command with --yes begins")
+            return
     if not network.kept.exists():
         echo(f"{network.url} is fetched, {_MAX_NETWORK_BYTES / 1e6:.0f} MB at most")
         fetch_network(network)

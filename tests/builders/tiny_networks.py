@@ -69,6 +69,40 @@ def rtmpose(*, num_keypoints: int = 17) -> bytes:
     return _model(nodes, (width, height), shapes, constants)
 
 
+def movenet(*, score: float = 0.9) -> bytes:
+    """One of six people, every keypoint at the brightest place of an image of any size, as MoveNet has them."""
+    nodes = [
+        helper.make_node("Cast", ["input"], ["floats"], to=TensorProto.FLOAT),
+        helper.make_node("ReduceMean", ["floats"], ["grey"], axes=[3], keepdims=0),
+        helper.make_node("Shape", ["input"], ["shape"]),
+    ]
+    for name, over, axis in (("y", 2, 1), ("x", 1, 2)):
+        nodes += [
+            helper.make_node("ReduceMax", ["grey"], [f"line_{name}"], axes=[over], keepdims=1),
+            helper.make_node("ArgMax", [f"line_{name}"], [f"index_{name}"], axis=axis, keepdims=1),
+            helper.make_node("Cast", [f"index_{name}"], [f"at_{name}"], to=TensorProto.FLOAT),
+            helper.make_node("Gather", ["shape", f"axis_{name}"], [f"whole_{name}"]),
+            helper.make_node("Cast", [f"whole_{name}"], [f"side_{name}"], to=TensorProto.FLOAT),
+            helper.make_node("Div", [f"at_{name}", f"side_{name}"], [f"share_{name}"]),
+        ]
+    nodes += [
+        helper.make_node("Concat", [*["share_y", "share_x", "sure"] * 17, *["box"] * 4, "sure"], ["one"], axis=2),
+        helper.make_node("Concat", ["one", "nobody"], ["output_0"], axis=1),
+    ]
+    constants = {
+        "axis_y": np.array([1]),
+        "axis_x": np.array([2]),
+        "sure": np.full((1, 1, 1), score, np.float32),
+        "box": np.zeros((1, 1, 1), np.float32),
+        "nobody": np.zeros((1, 5, 56), np.float32),
+    }
+    taken = helper.make_tensor_value_info("input", TensorProto.INT32, [1, "height", "width", 3])
+    given = helper.make_tensor_value_info("output_0", TensorProto.FLOAT, [1, 6, 56])
+    values = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "tiny", [taken], [given], values)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8).SerializeToString()
+
+
 def half() -> bytes:
     """A network of 16-bit floats, which are not read."""
     names = ("input", "dets", "keypoints")

@@ -12,6 +12,7 @@ import sys
 import tracemalloc
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -28,12 +29,13 @@ from pasdedeux.film.detectors import DETECTORS, load_detector
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons import OP14, PAIR17
 from storage_schema import Store
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation import film as film_topic
 from tasks.facts import TopicFacts
 from tasks.ingest.film import readers as films
+from tasks.ingest.film.detector_files import KNOWN_DETECTORS, fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import open_film, read_film
 from tasks.ingest.film.resolution import CorrectedShot
@@ -47,7 +49,7 @@ from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
 from tests.builders.painted_film import NAMES, painted, scene, walker_px, write_keys
-from tests.builders.rendered_film import write_film
+from tests.builders.rendered_film import render, salsa_bodies, write_film
 from tests.builders.walkers import walk
 from tests.builders.walkers_on_video import FRAMES, build_store, reference
 
@@ -425,7 +427,9 @@ def test_the_command_writes_annotations_a_sheet_and_an_overlay(
     assert run_command_line(["annotate", str(film), "--keys", str(out), "--out", str(tmp_path / "a.txt")]) == 2
     assert ".csv (ours), .json (COCO), .xml (CVAT)" in capsys.readouterr().err
     assert run_command_line(["annotate", str(film)]) == 2
-    assert "one of keys, detections and detect is needed" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "one of keys, detections and detect is needed" in said
+    assert "`pasdedeux fetch detector rtmo-m` brings one" in said
 
 
 def bright(x: int, y: int) -> np.ndarray:
@@ -443,6 +447,37 @@ def test_rtmo_gives_the_people_it_is_certain_of_in_pixels_of_the_image() -> None
     (person,) = load_detector([tiny_networks.rtmo()]).detect(bright(150, 120))
     np.testing.assert_allclose(person[:, :2], [150, 120] + tiny_networks.OFFSETS_PX * 320 / 192, atol=2.5)
     np.testing.assert_allclose(person[:, 2], 0.8)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_movenet_takes_images_of_any_shape(turned: bool) -> None:
+    image = bright(150, 120)
+    (person,) = load_detector([tiny_networks.movenet()]).detect(image.swapaxes(0, 1) if turned else image)
+    np.testing.assert_allclose(person[:, :2], np.tile([120, 150] if turned else [150, 120], (17, 1)), atol=1.5)
+    np.testing.assert_allclose(person[:, 2], 0.9)
+    assert load_detector([tiny_networks.movenet(score=0.05)]).detect(image) == []
+
+
+def test_a_real_network_finds_the_people_of_rendered_film_and_of_a_folder_of_images(
+    data_dir: Path, tmp_path: Path
+) -> None:
+    network = data_dir / "movenet_multipose" / "movenet_multipose.onnx"
+    rendered = render(salsa_bodies(data_dir, "03", slice(200, 213)), yaw_rad=0.5, turn_rad=0.0, blur=1, seed=2)
+    for number, image in enumerate(rendered.images):
+        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), image)
+    for path, every in ((write_film(tmp_path / "salsa.mp4", rendered.images), 1), (tmp_path, 3)):
+        (one,) = find_videos(
+            FilmOptions(id="salsa", path=path, rate_hz=30.0, detect=[str(network)], detect_every=every)
+        )
+        frames = one.read()
+        assert set(frames.frame.tolist()) == set(range(13))
+        joints = [joint for joint in NAMES if joint in PAIR17.joint_names]
+        true = rendered.px[frames.frame][:, :, [PAIR17.index(joint) for joint in joints]]
+        own = frames.keypoints_px[:, None, [NAMES.index(joint) for joint in joints]]
+        error = np.nanmedian(np.linalg.norm(own - true, axis=-1), axis=-1)
+        for person in range(2):
+            best = min(np.median(error[frames.person_id == who, person]) for who in set(frames.person_id.tolist()))
+            assert best < 0.06 * rendered.height_px
 
 
 def packed(**files: bytes) -> bytes:
@@ -475,7 +510,7 @@ def test_rtmpose_looks_into_boxes_of_people_or_where_the_person_was() -> None:
     ("files", "message"),
     [
         ([b"no network"], "no ONNX network that can be loaded"),
-        ([tiny_networks.half()], r"its input is tensor\(float16\); 32-bit floats are needed"),
+        ([tiny_networks.half()], r"its input is tensor\(float16\); 32-bit floats, 32-bit or 8-bit integers are needed"),
         ([packed(a=b"1", b=b"2")], "one ONNX file of at most 2 GB is needed, found model/a.onnx, model/b.onnx"),
         ([packed(a=b"1" * 99)[:60]], "ZIP archive of a network is damaged"),
         ([tiny_networks.yolox()], "0 networks of keypoints"),
@@ -515,6 +550,28 @@ def test_a_detector_at_an_address_comes_by_the_command_only_and_with_its_digest(
     assert said == "error: https://example.org/net.onnx: another file came; its digest is not the stated one\n"
     with pytest.raises(InputError, match="does not exist; give the ONNX file"):
         found(film, detect=["none.onnx"])
+
+
+def test_a_detector_that_has_a_name_is_fetched_once_its_size_and_licence_are_agreed_to(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
+    network = tiny_networks.rtmo(size=480)
+    known = KNOWN_DETECTORS["rtmo-m"]
+    address = known.address._replace(sha256=hashlib.sha256(network).hexdigest())
+    monkeypatch.setitem(KNOWN_DETECTORS, "rtmo-m", replace(known, address=address))
+    monkeypatch.setattr("flows.console.fetch.download", lambda *_, **__: network)
+    with pytest.raises(InputError, match="bring it with `pasdedeux fetch detector rtmo-m`"):
+        found(film, detect=["rtmo-m"])
+    assert run_command_line(["fetch", "detector", "rtmo-m"]) == 0
+    said = "".join(capsys.readouterr())
+    assert "89 MB, licence Apache-2.0, from https://huggingface.co/" in said
+    assert "with --yes begins" in said
+    assert fetched_detectors() == ()
+    assert run_command_line(["fetch", "detector", "rtmo-m", "--yes"]) == 0
+    assert fetched_detectors() == ("rtmo-m",)
+    first, _ = found(film, detect=["rtmo-m"], detect_every=2)
+    assert address.sha256 in {file.sha256 for file in first.files}
 
 
 @pytest.mark.parametrize(

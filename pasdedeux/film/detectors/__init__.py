@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from pasdedeux.errors import InputError
 from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, load_network
+from pasdedeux.film.detectors.movenet import MOVENET
 from pasdedeux.film.detectors.rtmo import RTMO
 from pasdedeux.film.detectors.rtmpose import RTMPOSE
 from pasdedeux.film.detectors.yolox import YOLOX
 
 __all__ = ["DETECTORS", "Detector", "DetectorKind", "load_detector"]
 
-DETECTORS: tuple[DetectorKind, ...] = (RTMO, YOLOX, RTMPOSE)
+DETECTORS: tuple[DetectorKind, ...] = (RTMO, YOLOX, RTMPOSE, MOVENET)
 
 
 def load_detector(files: Sequence[bytes]) -> Detector:
@@ -29,6 +31,7 @@ def load_detector(files: Sequence[bytes]) -> Detector:
         if kind is None:
             known = "; ".join(f"{detector.name} ({', '.join(sorted(detector.outputs))})" for detector in DETECTORS)
             raise InputError(f"the network's outputs {', '.join(network.outputs)} are of no known kind: {known}")
+        network = replace(network, input_px=network.input_px or kind.usual_px)
         if kind.is_boxes:
             boxes = kind.make(network, None)
         else:

@@ -16,6 +16,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.film.tracking import Image
 
 _MAX_NETWORK_BYTES = 2_000_000_000
+_NUM_COLOURS = 3
+_INPUT_TYPES = {"tensor(float)": np.float32, "tensor(int32)": np.int32, "tensor(uint8)": np.uint8}
 
 
 class Detector(Protocol):
@@ -32,12 +34,12 @@ class Network:
 
     Args:
         outputs: Names of its outputs.
-        input_px: Width and height of its images.
-        run: Maps an image (1, 3, height, width), float32, to outputs by name.
+        input_px: Width and height of its images; None where they are free.
+        run: Maps an image (1, 3, height, width), from 0 to 255 or as the kind scales it, to outputs by name.
     """
 
     outputs: tuple[str, ...]
-    input_px: tuple[int, int]
+    input_px: tuple[int, int] | None
     run: Callable[[np.ndarray], Mapping[str, np.ndarray]]
 
 
@@ -50,12 +52,14 @@ class DetectorKind:
         outputs: Outputs that tell it from others.
         make: Makes the detector from its network; `boxes` is a detector of boxes, where one was given.
         is_boxes: Its people are boxes, two corners (2, 3), for a network that needs them.
+        usual_px: Width and height of its images where the network leaves them free; None where the kind chooses.
     """
 
     name: str
     outputs: frozenset[str]
     make: Callable[[Network, Detector | None], Detector]
     is_boxes: bool = False
+    usual_px: tuple[int, int] | None = None
 
 
 def _unpacked(data: bytes) -> bytes:
@@ -96,18 +100,29 @@ def load_network(data: bytes) -> Network:
         raise InputError(f"this is no ONNX network that can be loaded: {str(error).splitlines()[0][:200]}") from None
     (first, *_) = session.get_inputs()
     shape: Sequence[Any] = first.shape
-    if len(shape) != 4 or not all(isinstance(side, int) and side > 0 for side in shape[2:]):
+    is_last = len(shape) == 4 and shape[3] == _NUM_COLOURS
+    if not is_last and (len(shape) != 4 or shape[1] != _NUM_COLOURS):
         raise InputError(
-            f"its input has the shape {list(shape)}; an image (1, 3, height, width) of fixed size is needed"
+            f"its input has the shape {list(shape)}; an image (1, 3, height, width) or (1, height, width, 3) is needed"
         )
-    if first.type != "tensor(float)":
-        raise InputError(f"its input is {first.type}; 32-bit floats are needed, tensor(float)")
+    if first.type not in _INPUT_TYPES:
+        raise InputError(
+            f"its input is {first.type}; 32-bit floats, 32-bit or 8-bit integers are needed: {', '.join(_INPUT_TYPES)}"
+        )
+    height, width = shape[1:3] if is_last else shape[2:]
+    is_fixed = isinstance(height, int) and isinstance(width, int)
     names = tuple(output.name for output in session.get_outputs())
 
     def run(tensor: np.ndarray) -> Mapping[str, np.ndarray]:
-        return dict(zip(names, session.run(names, {first.name: tensor.astype(np.float32)}), strict=True))
+        image = tensor.transpose(0, 2, 3, 1) if is_last else tensor
+        values = np.ascontiguousarray(image, dtype=_INPUT_TYPES[first.type])
+        try:
+            return dict(zip(names, session.run(names, {first.name: values}), strict=True))
+        except Exception as error:  # noqa: BLE001 - onnxruntime has a class of its own for each cause
+            reason = str(error).splitlines()[0][:200]
+            raise InputError(f"the network cannot be run on an image of {list(values.shape)}: {reason}") from None
 
-    return Network(names, (shape[3], shape[2]), run)
+    return Network(names, (width, height) if is_fixed else None, run)
 
 
 def letterbox(image: Image, size_px: tuple[int, int]) -> tuple[np.ndarray, float]:

@@ -22,6 +22,7 @@ class Rtmo:
 
     def detect(self, image: Image) -> list[Array]:
         """Return the people of an image, the most certain first."""
+        assert self.network.input_px is not None
         tensor, scale = letterbox(image, self.network.input_px)
         outputs = self.network.run(tensor)
         scores = output(outputs, "dets", 3, 5)[0, :, 4]
@@ -34,4 +35,4 @@ def _make(network: Network, boxes: Detector | None) -> Detector:
     return Rtmo(network)
 
 
-RTMO = DetectorKind(name="rtmo", outputs=frozenset({"dets", "keypoints"}), make=_make)
+RTMO = DetectorKind(name="rtmo", outputs=frozenset({"dets", "keypoints"}), make=_make, usual_px=(640, 640))

@@ -37,6 +37,7 @@ class RtmPose:
     def _in_box(self, image: Image, corners: Array) -> Array:
         import cv2  # here: a quarter of a second that others need not wait for
 
+        assert self._network.input_px is not None
         width, height = self._network.input_px
         sides = _PADDING * np.maximum(corners[1] - corners[0], 1.0)
         scale = min(width / sides[0], height / sides[1])
@@ -51,4 +52,4 @@ class RtmPose:
         return np.concatenate([start + place / scale, sure[:, None]], axis=-1).astype(np.float64)
 
 
-RTMPOSE = DetectorKind(name="rtmpose", outputs=frozenset({"simcc_x", "simcc_y"}), make=RtmPose)
+RTMPOSE = DetectorKind(name="rtmpose", outputs=frozenset({"simcc_x", "simcc_y"}), make=RtmPose, usual_px=(192, 256))

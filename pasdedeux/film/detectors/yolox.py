@@ -23,6 +23,7 @@ class Yolox:
 
     def detect(self, image: Image) -> list[Array]:
         """Return the boxes of people as two corners (2, 3) with the score."""
+        assert self.network.input_px is not None
         tensor, scale = letterbox(image, self.network.input_px)
         outputs = self.network.run(tensor)
         dets, labels = output(outputs, "dets", 3, 5)[0], output(outputs, "labels", 2)[0]
@@ -34,4 +35,6 @@ def _make(network: Network, boxes: Detector | None) -> Detector:
     return Yolox(network)
 
 
-YOLOX = DetectorKind(name="yolox", outputs=frozenset({"dets", "labels"}), make=_make, is_boxes=True)
+YOLOX = DetectorKind(
+    name="yolox", outputs=frozenset({"dets", "labels"}), make=_make, is_boxes=True, usual_px=(640, 640)
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,25 +28,62 @@ class NetworkAddress(NamedTuple):
         return cache_folder() / "detectors" / f"{self.sha256}.onnx"
 
 
+@dataclass(frozen=True)
+class KnownDetector:
+    """A detector that has a name.
+
+    Args:
+        address: Where its network is.
+        num_bytes: Size of its file.
+        licence: Its licence.
+        meaning: What it finds.
+    """
+
+    address: NetworkAddress
+    num_bytes: int
+    licence: str
+    meaning: str
+
+
+KNOWN_DETECTORS = {
+    "rtmo-m": KnownDetector(
+        NetworkAddress(
+            "https://huggingface.co/Xenova/RTMO-m/resolve/3aba1280472b98ee2bf663482e27e243038d23fe/onnx/model.onnx",
+            "76d82c45e5c4810baf587ecf2638d15cbf7ed196afb2055e977382532021b59e",
+        ),
+        89_291_929,
+        "Apache-2.0",
+        "several people, COCO's 17 keypoints, images of 640 x 640",
+    )
+}
+"""Detectors by name, the one to use first in front."""
+
+
+def fetched_detectors() -> tuple[str, ...]:
+    """Return the names of the known detectors that were fetched."""
+    return tuple(name for name, known in KNOWN_DETECTORS.items() if known.address.kept.exists())
+
+
 def find_network(stated: str) -> SourceFile:
-    """Return the file of a network: a path, or an address that ends in #sha256=DIGEST; nothing is sent to it.
+    """Return the file of a network: a name, a path, or an address that ends in #sha256=DIGEST; nothing is sent to it.
 
     Raises:
         InputError: It is not there, was not fetched yet, or has another digest.
     """
-    if "://" not in stated:
+    known = KNOWN_DETECTORS.get(stated)
+    if known is None and "://" not in stated:
         path = Path(stated).expanduser()
         if not path.exists():
             raise InputError(
-                f"detector {stated} does not exist; give the ONNX file of RTMO or RTMPose, or an address with "
-                "#sha256=DIGEST"
+                f"detector {stated} does not exist; give the ONNX file of RTMO, RTMPose or MoveNet, an address with "
+                f"#sha256=DIGEST, or a name: {', '.join(KNOWN_DETECTORS)}"
             )
         return SourceFile(path=str(path), sha256=digest_of(path))
-    address = network_address(stated)
+    address = known.address if known else network_address(stated)
     if not address.kept.exists():
         raise InputError(
             f"detector {stated} is not on this machine, and a study fetches nothing by itself; bring it with "
-            f"`pasdedeux fetch detector '{stated}'`"
+            f"`pasdedeux fetch detector {stated if known else repr(stated)}`"
         )
     check_network(address)
     return SourceFile(path=str(address.kept), sha256=address.sha256)

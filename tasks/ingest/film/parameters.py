@@ -7,6 +7,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from tasks.ingest.film.detector_files import KNOWN_DETECTORS
 from tasks.ingest.poses2d.parameters import AnnotationParameters, SourceOptions
 
 
@@ -25,8 +26,8 @@ class FilmOptions(SourceOptions):
     detect: tuple[str, ...] = Field(
         (),
         max_length=2,
-        description="ONNX files of a detector that is run: RTMO, or RTMPose with YOLOX for boxes; a path, or an "
-        "address that ends in #sha256=DIGEST",
+        description="A detector that is run: the name of one that was fetched (rtmo-m), or ONNX files of RTMO, "
+        "MoveNet MultiPose, or RTMPose with YOLOX for boxes; a path, or an address that ends in #sha256=DIGEST",
     )
     detect_every: int = Field(
         1, ge=1, le=1000, description="The detector sees every so many frames; others are tracked"
@@ -37,7 +38,7 @@ class FilmOptions(SourceOptions):
     def _check_source(self) -> Self:
         given = [name for name in ("keys", "detections", "detect") if getattr(self, name)]
         if len(given) != 1:
-            stated = " and ".join(given) if given else "none"
+            stated = " and ".join(given) or f"none; `pasdedeux fetch detector {next(iter(KNOWN_DETECTORS))}` brings one"
             raise ValueError(f"one of keys, detections and detect is needed for a film, found {stated}")
         if self.image_size_px is not None:
             raise ValueError("image_size_px is that of the film; leave it out")

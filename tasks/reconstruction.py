@@ -151,7 +151,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         attachments = {
             f"{sequence_id}_{person_id}.{kind}": data
             for person_id, motion in people.motions.items()
-            for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion)))
+            for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion, **people.camera_facts)))
         }
         facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in people.skipped.items()]
         facts["num_projections"] = database.poses.num_projections

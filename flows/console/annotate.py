@@ -21,6 +21,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.coco import write_coco
 from pasdedeux.formats.cvat import write_cvat
+from tasks.ingest.film.detector_files import fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import Image
 from tasks.ingest.film.resolution import FoundShot, find_shots, shot_images
@@ -116,8 +117,9 @@ def annotate(
 def film_source(
     path: Path, settings: Sequence[str], keys: Path | None, detections: Path | None, detect: Sequence[str] | None
 ) -> FilmOptions:
-    """Return the film that a path and options of a command are; see `find_source`."""
-    return find_source(FilmOptions, path, settings, keys=keys, detections=detections, detect=tuple(detect or ()))
+    """Return the film that a path and options of a command are, with a detector that was fetched; see `find_source`."""
+    chosen = tuple(detect or ()) or (() if keys or detections else fetched_detectors()[:1])
+    return find_source(FilmOptions, path, settings, keys=keys, detections=detections, detect=chosen)
 
 
 def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:

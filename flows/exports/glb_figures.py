@@ -27,14 +27,14 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     files = CastFiles(export, out, _SAID)
     for cast in casts(export):
         rigs = zip(cast.letters, cast.rigs(export.rest_pose), strict=True)
-        people = [_person(letter, rig) for letter, rig in rigs]
+        people = [glb_person(letter, rig) for letter, rig in rigs]
         facts = {"unit": "m", "axes": cast.axes, "rate_hz": cast.rate_hz, "frames": cast.in_words()}
         data = write_glb(people, copyright_text=export.credit, facts=facts)
         files.path(cast, suffix=".glb").write_bytes(data)
     return files.close()
 
 
-def _person(name: str, rig: Rig) -> GlbPerson:
+def glb_person(name: str, rig: Rig) -> GlbPerson:
     """Return a person with a body; one of positions alone rests in a T-pose."""
     motion = rig.motion
     if rig.positions_m is not None:

@@ -41,6 +41,7 @@ def reconstruction_player(
     keypoints_px: Array | None = None,
     truth_m: Array | None = None,
     projected_px: Array | None = None,
+    has_floor: bool = False,
 ) -> bytes:
     """Show people as they were reconstructed over the ground truth, and the image that they were found in.
 
@@ -52,6 +53,7 @@ def reconstruction_player(
         keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
         truth_m: The true motion (frame, person, 14, 3), the same axes, where it is known.
         projected_px: Where the reconstruction is in the image (frame, person, 14, 2), drawn over its keypoints.
+        has_floor: The floor, y = 0, is drawn, and people stay where they are on it.
     """
     frames, shown_hz = shown_frames(len(found_m), rate_hz)
     found = about_hips(found_m[frames])
@@ -73,8 +75,10 @@ def reconstruction_player(
             known = error[np.isfinite(error)]
             labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
     title = "reconstruction" if truth is None else "reconstruction, ground truth in grey"
+    if has_floor:
+        found = found_m[frames] - np.nanmean(found_m[frames], axis=(0, 1, 2)) * [1.0, 0.0, 1.0]
     panels.append(people_panel(title, OP14, found, truth_m=truth))
-    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=False)
+    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=has_floor)
 
 
 def about_hips(positions_m: Array) -> Array:

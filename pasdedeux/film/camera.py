@@ -22,7 +22,7 @@ _NUM_CORNERS, _MIN_CORNERS = 300, 12
 _WINDOW_PX, _NUM_LEVELS = 15, 3
 _MAX_MISFIT_PX = 1.0
 """Distance within which a corner fits a similarity."""
-_MIN_FITTING, _MIN_KEPT = 0.5, 0.4
+_MIN_FITTING, _MIN_KEPT = 0.3, 0.25
 """Share of the followed corners that fit a similarity that is believed; share of a reference's corners that fit the
 image, below which another reference is taken."""
 _PADDING = 0.15
@@ -111,7 +111,7 @@ class CameraFollower:
         """Make an image the reference."""
         import cv2
 
-        found = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.01, 6.0, mask=is_free)
+        found = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.003, 5.0, mask=is_free)
         corners = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2)
         self._reference = (grey, corners, matrix, corners.copy()) if len(corners) >= _MIN_CORNERS else None
 

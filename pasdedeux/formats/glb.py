@@ -60,6 +60,23 @@ class GlbPerson:
     positions_m: Array | None = None
 
 
+@dataclass(frozen=True)
+class GlbCamera:
+    """A camera of a scene, which looks along its own -z, y up.
+
+    Args:
+        position_m: Where it is (3,).
+        world_from_camera_unitquat: How it is turned (4,).
+        height_rad: Angle from the lower to the upper edge of its image.
+        aspect: Width over height of its image.
+    """
+
+    position_m: Array
+    world_from_camera_unitquat: Array
+    height_rad: float
+    aspect: float
+
+
 class _Buffer:
     """The one buffer of a file, and the accessors into it."""
 
@@ -82,13 +99,16 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def write_glb(people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[str, Any]) -> bytes:
+def write_glb(
+    people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[str, Any], camera: GlbCamera | None = None
+) -> bytes:
     """Return people who move in one world as binary glTF: metres, Y up, each a skin over its own joints.
 
     Args:
         people: The people, all with as many frames and one rate.
         copyright_text: Licence and credit.
         facts: What else must be known, for the `extras` of the asset.
+        camera: The camera that saw them, where there was one.
     """
     buffer, nodes = _Buffer(), list[dict[str, Any]]()
     rate_hz = people[0].motion.rate_hz
@@ -130,11 +150,17 @@ def write_glb(people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[s
         nodes.append({"name": f"{person.name} body", "mesh": number, "skin": number})
         nodes.append({"name": person.name, "children": [first + skeleton.root, len(nodes) - 1]})
         roots.append(len(nodes) - 1)
+    cameras = {} if camera is None else {"cameras": [_camera(camera)]}
+    if camera is not None:
+        roots.append(len(nodes))
+        turn = camera.world_from_camera_unitquat.tolist()
+        nodes.append({"name": "camera", "camera": 0, "translation": camera.position_m.tolist(), "rotation": turn})
     tree = {
         "asset": {"version": "2.0", "generator": "pasdedeux", "copyright": copyright_text, "extras": facts},
         "scene": 0,
         "scenes": [{"nodes": roots}],
         "nodes": nodes,
+        **cameras,
         "meshes": meshes,
         "skins": skins,
         "materials": [
@@ -150,6 +176,11 @@ def write_glb(people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[s
     chunks = [(b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\0", bytes(buffer.data) + bytes(-len(buffer.data) % 4))]
     body = b"".join(struct.pack("<I4s", len(data), name) + data for name, data in chunks)
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def _camera(camera: GlbCamera) -> dict[str, Any]:
+    lens = {"yfov": camera.height_rad, "aspectRatio": camera.aspect, "znear": 0.05}
+    return {"name": "camera", "type": "perspective", "perspective": lens}
 
 
 def _translations(person: GlbPerson) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.arrays import Flags
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.kinematics import Motion
@@ -48,9 +48,11 @@ def humanoid_motion(motion: Motion) -> Motion:
     return replace(ended, skeleton=HUMANOID)
 
 
-def write_npz(one: HumanoidMotion) -> bytes:
-    """Return a motion as an npz archive: as `write_motion_npz`, with `is_seen` (frame,) and `first_frame`."""
-    return write_motion_npz(humanoid_motion(one.motion), axes=AXES, is_seen=one.is_seen, first_frame=one.first_frame)
+def write_npz(one: HumanoidMotion, **facts: Array) -> bytes:
+    """Return a motion as an npz archive: as `write_motion_npz`, with `is_seen` (frame,), `first_frame`, and facts."""
+    return write_motion_npz(
+        humanoid_motion(one.motion), axes=AXES, is_seen=one.is_seen, first_frame=one.first_frame, **facts
+    )
 
 
 def units_text(one: HumanoidMotion, units: str) -> str:
@@ -62,4 +64,7 @@ def units_text(one: HumanoidMotion, units: str) -> str:
         f"All files have the same {one.motion.num_frames} frames at {one.motion.rate_hz:.6g} Hz, from frame "
         f"{one.first_frame} of the video on; `is_seen` of the npz tells in which a person was seen, in the others the "
         "pose is interpolated or, before and after, held.\n"
+        "`camera_...` of the npz and the camera of the GLB file are in the same axes; a camera looks along its own -z, "
+        "x right, y up. Of film of a camera that moves they are those of its steady image, and `steady_from_image` "
+        "(frame, 2, 3) takes pixels of each frame to it.\n"
     )

@@ -270,6 +270,11 @@ def pose_body(
     return pose_bodies(poses, trunk, bent, nose, body.offsets_m, body.rest_m, floor_m + body.toe_height_m)
 
 
+def soles_m(bodies: Sequence[EmbodiedMotion]) -> float:
+    """Return how far the soles of people who stand are below their ankles, in the mean over them."""
+    return float(np.mean([body.body.ankle_height_m for body in bodies]))
+
+
 def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rate_hz: float) -> list[HumanoidMotion]:
     """Return people of one video with soles at y = 0, all from the first frame with anybody to the last.
 
@@ -281,7 +286,7 @@ def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rat
     starts, bodies, _ = zip(*people, strict=True)
     ends = [start + len(body.pelvis_m) for start, body in zip(starts, bodies, strict=True)]
     frames = np.arange(min(starts), max(ends))
-    soles = np.mean([body.body.ankle_height_m for body in bodies])
+    soles = soles_m(bodies)
     motions = []
     for first, body, is_bridged in people:
         at = np.clip(frames - first, 0, len(is_bridged) - 1)

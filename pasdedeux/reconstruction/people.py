@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array
+from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips, motions_together
+from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips, motions_together, soles_m
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
 from pasdedeux.reconstruction.lying import searchers_for
@@ -97,6 +98,34 @@ class ReconstructedPeople:
     def camera_from_upright_rotmat(self) -> Array:
         """How the camera is pitched (3, 3)."""
         return np.asarray(DatabaseCamera(self.pitch.pitch_rad).camera_from_upright_rotmat)
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The camera that sees the motions, in their frame: upright, soles at y = 0.
+
+        Of film its image is the steady one.  There must be a method.
+        """
+        made, rotmat = self.methods[-1], self.camera_from_upright_rotmat
+        lens = made.people[0].track.lens
+        width, height = (max(round(2.0 * side), 1) for side in lens.principal_point_px)
+        return PinholeCamera(
+            focal_px=(1.0 if self.scene is None else self.scene.lens_factor) * lens.focal_px,
+            principal_point_px=np.array(lens.principal_point_px),
+            camera_from_world_rotmat=rotmat,
+            position_m=-made.origin_m @ rotmat + [0.0, soles_m(made.bodies), 0.0],
+            image_size_px=(width, height),
+        )
+
+    @property
+    def camera_facts(self) -> dict[str, Array]:
+        """The camera as files of motion have it, by name."""
+        camera = self.camera
+        return {
+            "camera_position_m": camera.position_m,
+            "camera_from_world_rotmat": camera.camera_from_world_rotmat,
+            "camera_focal_px": np.array(camera.focal_px),
+            "camera_principal_point_px": camera.principal_point_px,
+        }
 
 
 def reconstruct_people(

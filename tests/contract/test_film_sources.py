@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 import pytest
 
+from flows.console.annotate import film_source
 from flows.console.app import run_command_line
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
@@ -570,6 +571,7 @@ def test_a_detector_that_has_a_name_is_fetched_once_its_size_and_licence_are_agr
     assert fetched_detectors() == ()
     assert run_command_line(["fetch", "detector", "rtmo-m", "--yes"]) == 0
     assert fetched_detectors() == ("rtmo-m",)
+    assert film_source(film, (), None, None, None).detect == ("rtmo-m",)
     first, _ = found(film, detect=["rtmo-m"], detect_every=2)
     assert address.sha256 in {file.sha256 for file in first.files}
 
@@ -637,7 +639,10 @@ def test_a_shot_in_which_a_detector_sees_nobody_is_skipped_with_the_reason(tmp_p
     assert "nobody was detected" in verdict_of(manifest).reason
 
 
-def test_a_film_with_key_frames_becomes_bvh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_film_with_key_frames_becomes_bvh_glb_with_its_camera_and_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
     worlds = np.stack(
         [walk(FRAMES, seed=50 + at, rate_hz=30.0) + np.array([1.4 * at, 0.0, 0.0]) for at in (0, 1)], axis=1
     )
@@ -665,10 +670,24 @@ def test_a_film_with_key_frames_becomes_bvh(tmp_path: Path, capsys: pytest.Captu
     for person in (0, 1):
         text = (tmp_path / "out" / f"walkers_{person}.bvh").read_text()
         assert f"Frames: {FRAMES}" in text
+        found_person = np.load(tmp_path / "out" / f"walkers_{person}.npz")
+        lens = found_person["camera_principal_point_px"], float(found_person["camera_focal_px"])
+        turned = (found_person["positions_m"] - found_person["camera_position_m"]) @ found_person[
+            "camera_from_world_rotmat"
+        ].T
+        seen = lens[0] + lens[1] * turned[..., :2] / -turned[..., 2:] * [1, -1]
+        foot = [str(name) for name in found_person["joint_names"]].index("LeftFoot")
+        assert np.median(np.linalg.norm(seen[:, foot] - px[:, person, OP14.index("left_ankle")], axis=-1)) < 15
+    scene = (tmp_path / "out" / "walkers.glb").read_bytes()
+    assert b'"type":"perspective"' in scene
+    assert b'"name":"person 1"' in scene
+    assert "data:image/svg+xml" in (tmp_path / "out" / "walkers.html").read_text()
     assert run_command_line(["reconstruct", str(film), "--keys", str(keys), "--follow", *where]) == 2
     assert "--follow reads OpenPose files, not film" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(film), *where]) == 2
-    assert "give key frames (--keys FILE)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "give key frames (--keys FILE)" in said
+    assert "pasdedeux fetch detector rtmo-m" in said
 
 
 def test_a_long_film_is_tracked_in_the_memory_of_a_short_one(tmp_path: Path) -> None:

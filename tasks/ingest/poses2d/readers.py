@@ -136,7 +136,8 @@ def refuse_film(paths: Sequence[Path], path: Path) -> None:
         raise InputError(
             f"{path} is {'a video' if what == 'video' else 'a folder of images' if path.is_dir() else 'an image'}: the "
             "people in it must be annotated or detected: give key frames (--keys FILE), a detector's keypoints "
-            "(--detections FILE) or a detector (--detect FILE.onnx); in a study [[ingest.videos]]"
+            "(--detections FILE) or a detector (--detect FILE.onnx, or what `pasdedeux fetch detector rtmo-m` brings); "
+            "in a study [[ingest.videos]]"
         )
 
 

@@ -18,7 +18,7 @@ from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.expected_error import expected_error, expected_over_time
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
-from pasdedeux.completion.occlusion import complete_pair
+from pasdedeux.completion.occlusion import complete_pair, in_depth_order
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.annotated import (
@@ -51,7 +51,7 @@ from tasks.projections import Pitches, ProjectionsParameters, read_database, rea
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
 
-LIFTING = StageName("lifting", 14)
+LIFTING = StageName("lifting", 15)
 
 Row = dict[str, Any]
 DOUBTFUL_M = 0.15
@@ -302,6 +302,8 @@ def _lift(
     if not one.is_seen.all():
         incomplete = np.where(one.is_seen[..., None], fitted, np.nan)
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=_NUM_COMPLETING).fitted_m
+        if over_time is not None:  # one image says little of who is in front, its video more
+            fitted = in_depth_order(fitted, as_pair17(over_time.people_m, fitted))
         rows.append(_row(one, "completed", fitted, **known))
     has_own_draw = bool(np.isin(own, found.nearest.draw).any())
     mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m

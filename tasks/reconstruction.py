@@ -11,6 +11,7 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
+from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
@@ -183,6 +184,15 @@ def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[
         return [], [reason]
     motion = read_camera_motion(store, ref, sequence_id)
     return subtract_motion(tracks_of({name: table[name] for name in table}, sequence_id), motion)[0], []
+
+
+def read_subtracted_motion(store: Store, ref: ArtifactRef, sequence_id: str) -> CameraMotion | None:
+    """Return the motion of the camera of a sequence; None where none was subtracted before it was reconstructed."""
+    motion = read_camera_motion(store, ref, sequence_id)
+    if motion is None:
+        return None
+    table = store.read(ref, "annotations", columns=["sequence_id", *TRACK_COLUMNS])
+    return motion if subtract_motion(tracks_of({name: table[name] for name in table}, sequence_id), motion)[1] else None
 
 
 def _database(

@@ -91,7 +91,6 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     shown = grid.fill(data["body22_m"])
     matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
     seen = Seen.of(shelf, sequence_id)
-    film = seen.film
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
     manifest = store.manifest(item.pieces[0][0])
     facts = MotionFacts.of(manifest)
@@ -117,7 +116,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind=None if truth is None else People(BODY22, truth),
         behind_name="as captured",
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
-        film=None if film is None else lambda frame: film.image(int(grid.frames[frame])),
+        film=None if seen.film is None else lambda frame: seen.steady_image(int(grid.frames[frame])),
         numbers=grid.frames,
         curves=curves,
         say=lambda frame: [f"match {matches[0][frame] or 'bridged'} frame {matches[1][frame]}", *seen.film_words],

@@ -15,6 +15,7 @@ from flows.viewing.shelf import Shelf
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
+from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.spread import evenly_spread
@@ -22,6 +23,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import read_people
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.facts import SequenceFacts
+from tasks.reconstruction import read_subtracted_motion
 
 _NUM_LOCATED = 60
 """Frames by which the camera of a reconstruction is located."""
@@ -55,6 +57,18 @@ class Seen:
         """Return what reads the image of a frame; None where there is no film."""
         return None if self.film is None else partial(self.film.image, int(frame))
 
+    def steady_image(self, frame: int) -> Array | None:
+        """Return the image of a frame as the located camera sees it: less the motion that was subtracted."""
+        image = None if self.film is None else self.film.image(int(frame))
+        motion = None if self.ref is None else _motion(self.store, self.ref, self.sequence_id)
+        if image is None or motion is None:
+            return image
+        import cv2  # here: a quarter of a second that others need not wait for
+
+        height, width = image.shape[:2]
+        (matrix,) = motion.resized(width / motion.image_size_px[0]).at(np.array([frame]))
+        return np.asarray(cv2.warpAffine(image, matrix, (width, height)))
+
     def locate_camera(
         self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
     ) -> PinholeCamera | None:
@@ -68,6 +82,8 @@ class Seen:
         nobody = np.full((PAIR17.num_joints, 2), np.nan)
         seen = [people.get((self.sequence_id, int(frame)), {}) for frame in grid.frames[at]]
         px = np.array([[indices.get(int(who), nobody) for who in grid.persons] for indices in seen])
+        motion = _motion(self.store, self.ref, self.sequence_id)
+        px = px if motion is None else motion.steady_px(grid.frames[at], px)
         width, height, focal_px = _lenses(self.store, self.ref)[self.sequence_id]
         size = size_of(width, height, px)
         lens = Lens.assumed(*size, px, None if np.isnan(focal_px) else focal_px)
@@ -114,6 +130,11 @@ class Seen:
         points = np.stack([people[who] for who in sorted(people)])
         width, height, _ = _lenses(self.store, self.ref)[self.sequence_id]
         return [Flat(PAIR17, points, size_of(width, height, points), f"{title} frame {frame}", self.image(frame))]
+
+
+@lru_cache(maxsize=4)
+def _motion(store: Store, ref: ArtifactRef, sequence_id: str) -> CameraMotion | None:
+    return read_subtracted_motion(store, ref, sequence_id)
 
 
 @lru_cache(maxsize=4)

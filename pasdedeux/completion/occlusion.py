@@ -79,6 +79,23 @@ def blend_onto(median_m: Array, pair_m: Array) -> Array:
     return np.where(is_visible[:, None], target, moved).reshape(median_m.shape)
 
 
+def in_depth_order(pair_m: Array, other_m: Array) -> Array:
+    """Return a pair (person=2, joint=17, 3) whose people are in depth (z) in the order of another pair's.
+
+    Where the order of the pelvises differs, both people are moved along z to be as far apart as those of the other
+    pair; their image, without perspective, stays the same.
+
+    >>> pair = np.zeros((2, 17, 3)) + np.array([0.0, 0.2])[:, None, None]
+    >>> in_depth_order(pair, -2.0 * pair)[:, 0, 2].round(2).tolist()
+    [0.3, -0.1]
+    """
+    apart, wanted = (float(one[1, PAIR17.root, 2] - one[0, PAIR17.root, 2]) for one in (pair_m, other_m))
+    if not apart * wanted < 0.0:
+        return pair_m
+    moved_z = 0.5 * (wanted - apart) * np.array([-1.0, 1.0])
+    return np.asarray(pair_m + moved_z[:, None, None] * [0.0, 0.0, 1.0])
+
+
 def _known_lengths(pair_m: Array, pairs_m: Array) -> Array:
     """Return bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others."""
     own = bone_lengths(PAIR17, np.asarray(pair_m, dtype=np.float64))

@@ -678,9 +678,9 @@ def test_a_film_with_key_frames_becomes_bvh_glb_with_its_camera_and_a_page(
         seen = lens[0] + lens[1] * turned[..., :2] / -turned[..., 2:] * [1, -1]
         foot = [str(name) for name in found_person["joint_names"]].index("LeftFoot")
         assert np.median(np.linalg.norm(seen[:, foot] - px[:, person, OP14.index("left_ankle")], axis=-1)) < 15
-    scene = (tmp_path / "out" / "walkers.glb").read_bytes()
-    assert b'"type":"perspective"' in scene
-    assert b'"name":"person 1"' in scene
+    figures = (tmp_path / "out" / "walkers.glb").read_bytes()
+    assert b'"type":"perspective"' in figures
+    assert b'"name":"person 1"' in figures
     assert "data:image/svg+xml" in (tmp_path / "out" / "walkers.html").read_text()
     assert run_command_line(["reconstruct", str(film), "--keys", str(keys), "--follow", *where]) == 2
     assert "--follow reads OpenPose files, not film" in capsys.readouterr().err

@@ -83,6 +83,10 @@ class AnnotatedPairs:
         """Which joints are seen, (entry, person=2, joint=17)."""
         return np.asarray(np.isfinite(self.points_m).all(axis=-1))
 
+    def some(self, entries: npt.NDArray[np.int64]) -> AnnotatedPairs:
+        """Return some of the entries."""
+        return AnnotatedPairs(self.points_m[entries], self.directions[entries], self.annotation_index[entries])
+
     @property
     def centred_m(self) -> Array:
         """Image points of both people (entry, n, 2), metres, the mean of those seen at (0, 0); 0 where not seen."""

@@ -30,6 +30,7 @@ from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import DEFAULT_PRIOR, PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.spread import evenly_spread
 
 Indices = npt.NDArray[np.int64]
 
@@ -73,7 +74,7 @@ class Growth:
         log_prior: Log of eq. 2 (Yin et al. 2018) with the pair's own bone lengths, (n,).
         is_possible: Whether the joint limits are kept, (n,): agreeing on depths may have changed it.
         num_refused: Annotations whose lifted pair was refused.
-        num_left: Annotations that nothing lifted came near, or that were not asked for.
+        num_left: Annotations asked for that nothing lifted came near.
     """
 
     pairs_m: Array
@@ -97,6 +98,9 @@ def grow(
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
+    Of more annotations so many are taken, evenly spread in their order: those nearest to the seeds alone would leave
+    out all other motion (salsa, 1,000 of 6,000: held-out frames are 9.0 cm from the nearest pair, and 16.0 so).
+
     Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
     the pair lifted from.  No randomness; ties go to the entry that comes first.  `prior` refuses and scores pairs.
 
@@ -105,7 +109,8 @@ def grow(
     """
     if not len(seeds_m) or not np.isfinite(seeds_m).all():
         raise InputError("growth needs at least one seed, all of its positions finite")
-    frontier = _Frontier(annotated)
+    wanted = np.flatnonzero(np.isin(annotated.annotation_index, _spread(annotated.annotation_index, num_grown)))
+    frontier = _Frontier(annotated.some(wanted))
     for seed in np.asarray(seeds_m, dtype=np.float64):
         frontier.add(_Lifted(seed, bone_lengths(PAIR17, seed)))
     num_refused = 0
@@ -123,7 +128,14 @@ def grow(
         frontier.add(_Lifted(pair, nearest.lengths, entry, parent, nearest.generation + 1, distance_m))
     for _ in range(_NUM_SWEEPS):
         frontier.agree(len(seeds_m))
-    return frontier.growth(len(seeds_m), limits, num_refused, prior)
+    growth = frontier.growth(len(seeds_m), limits, num_refused, prior)
+    return replace(growth, entry=wanted[growth.entry])
+
+
+def _spread(annotation_index: Indices, count: int) -> Indices:
+    """Return so many annotations, or all, evenly spread."""
+    there = np.unique(annotation_index)
+    return np.asarray(there[evenly_spread(len(there), count)])
 
 
 class ViewedImages:

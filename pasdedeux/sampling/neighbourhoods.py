@@ -81,21 +81,27 @@ def fill(
     num_filled = num_tried = 0
     is_full = False
     while num_filled < num and num_tried < _MAX_TRIES * num and not is_full:
-        rows = rng.permutation(count)[: num - num_filled]
-        weights = rng.dirichlet(np.full(NUM_PARENTS, _CONCENTRATION), len(rows))
-        means = np.stack(
-            [
-                gauge_fix(charts[row].positions(weight @ parameters[row]))
-                for row, weight in zip(rows, weights, strict=True)
-            ]
-        )
-        quality = seed_quality(means, limits, prior)
-        kept = np.flatnonzero(quality.is_possible & (quality.log_prior >= MIN_FILLED_LOG_PRIOR))
-        kept = kept[selector.add(means[kept], *np.ones((2, len(kept))))]
-        rounds.append((means[kept], parents[rows[kept]], weights[kept], quality.log_prior[kept]))
-        num_filled += len(kept)
-        num_tried += len(rows)
-        is_full = len(rows) == count and len(kept) < _MIN_KEPT_SHARE * count
+        # All of a round is drawn at once, so that the first pairs are the same whatever `num` is.
+        order = rng.permutation(count)
+        shares = rng.dirichlet(np.full(NUM_PARENTS, _CONCENTRATION), count)
+        at, num_before = 0, num_filled
+        while at < count and num_filled < num:
+            block = slice(at, at + num - num_filled)
+            rows, weights = order[block], shares[block]
+            means = np.stack(
+                [
+                    gauge_fix(charts[row].positions(weight @ parameters[row]))
+                    for row, weight in zip(rows, weights, strict=True)
+                ]
+            )
+            quality = seed_quality(means, limits, prior)
+            kept = np.flatnonzero(quality.is_possible & (quality.log_prior >= MIN_FILLED_LOG_PRIOR))
+            kept = kept[selector.add(means[kept], *np.ones((2, len(kept))))]
+            rounds.append((means[kept], parents[rows[kept]], weights[kept], quality.log_prior[kept]))
+            num_filled += len(kept)
+            num_tried += len(rows)
+            at += len(rows)
+        is_full = at == count and num_filled - num_before < _MIN_KEPT_SHARE * count
     means, origins, weights, log_prior = map(np.concatenate, zip(*rounds, strict=True))
     return Filling(means, origins, weights, log_prior, num_tried - num_filled)
 

@@ -20,6 +20,7 @@ from pasdedeux.sampling.growth import ViewedImages, grow
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.spread import evenly_spread
 from tests.builders.poses import with_hidden
 
 ORDER, PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
@@ -176,13 +177,20 @@ def test_growth_does_not_depend_on_where_the_seed_stands_and_repeats_exactly() -
     np.testing.assert_allclose(distance, 0.0, atol=1e-6)
 
 
-def test_asking_for_more_grows_on_from_the_same_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth, "_NUM_SWEEPS", 0)
+def test_of_more_annotations_than_are_asked_for_those_are_lifted_that_are_evenly_spread() -> None:
     pairs, entries = annotated(60)
-    few = grow(pairs[:2], entries, WIDE, num_grown=20)
-    more = grow(pairs[:2], entries, WIDE, num_grown=50)
-    np.testing.assert_array_equal(more.entry[:20], few.entry)
-    np.testing.assert_allclose(more.pairs_m[:20], few.pairs_m)
+    turned = np.concatenate([entries.directions, entries.directions[::-1]])
+    both = AnnotatedPairs(
+        np.concatenate([entries.points_m, entries.points_m[::-1]]),
+        turned,
+        np.append(np.arange(60), np.arange(60)[::-1]),
+    )
+    grown = grow(pairs[:2], both, WIDE, num_grown=12)
+    assert sorted(both.annotation_index[grown.entry]) == evenly_spread(60, 12).tolist()
+    assert (grown.num_refused, grown.num_left) == (0, 0)
+    spread = np.flatnonzero(np.isin(both.annotation_index, evenly_spread(60, 12)))
+    same = grow(pairs[:2], both.some(spread), WIDE, num_grown=99)
+    np.testing.assert_array_equal(grown.pairs_m, same.pairs_m)
 
 
 def test_an_annotation_is_lifted_once_whatever_the_number_of_its_views() -> None:

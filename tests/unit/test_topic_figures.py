@@ -19,6 +19,7 @@ from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
 from tasks.evaluation import generation, lifting, models, reconstruction
+from tasks.evaluation.coverage import curve_points
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.realism import _Clips, _compare
@@ -183,6 +184,16 @@ def test_frames_between_have_the_errors_of_their_span(store: Store, monkeypatch:
     frames = [first + 1, second + 1, second + 2, second + 3]
     np.testing.assert_allclose(items.times_s, np.array(frames) / RATE_HZ)
     assert list(items.takes) == ["hidden"] * 4
+
+
+@pytest.mark.parametrize(
+    ("num_draws", "num_points", "wanted"),
+    [(0, 4, [1]), (1, 4, [1]), (3, 9, [1, 2, 3]), (1000, 4, [1, 10, 100, 1000]), (1000, 1, [1])],
+)
+def test_coverage_is_measured_from_one_draw_to_all_each_number_once(
+    num_draws: int, num_points: int, wanted: list[int]
+) -> None:
+    assert curve_points(num_draws, num_points) == wanted
 
 
 def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) -> None:

@@ -345,13 +345,16 @@ class ClusterPool(Pool):
 
 @contextmanager
 def _scheduler_is_there() -> Iterator[None]:
-    """Say of what a scheduler did not answer that it is gone: ClusterError."""
+    """Say of what a scheduler did not answer that it is gone: ClusterError.
+
+    A call that is cancelled on its way leaves `distributed.utils.sync` without a result: UnboundLocalError.
+    """
     from distributed import CancelledError
     from distributed.comm.core import CommClosedError
 
     try:
         yield
-    except (CancelledError, CommClosedError):
+    except (CancelledError, CommClosedError, UnboundLocalError):
         raise ClusterError("the Dask scheduler is gone; the same command continues the work") from None
 
 

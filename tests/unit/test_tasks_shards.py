@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import threading
@@ -21,6 +22,7 @@ import psutil
 import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
+from distributed.utils import LoopRunner, sync
 
 from flows.machine import GIB, cluster_settings, kernel_cache, memory_bytes, usable_cores, why_few
 from pasdedeux.errors import InputError
@@ -43,6 +45,7 @@ from tasks.shards import (
     worker_environment,
 )
 from tasks.shards.profiles import cluster_class, read_profile, started
+from tasks.shards.running import _scheduler_is_there
 from tasks.stage import Shard, StageInputs
 from tests.builders.toy_runs import ROOT
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
@@ -538,3 +541,16 @@ def test_where_the_system_does_not_tell_its_memory_there_is_a_worker_for_each_co
     monkeypatch.setattr("os.sysconf", refuse)
     monkeypatch.setattr("flows.machine.usable_cores", lambda: 8)
     assert (memory_bytes(), cluster_settings(None).num_workers, why_few(ClusterSettings(3))) == (None, 8, "")
+
+
+def test_a_call_that_is_cancelled_on_its_way_says_that_the_scheduler_is_gone() -> None:
+    async def cancelled() -> None:
+        raise asyncio.CancelledError
+
+    runner = LoopRunner()
+    runner.start()
+    try:
+        with pytest.raises(ClusterError, match="the same command continues the work"), _scheduler_is_there():
+            sync(runner.loop, cancelled)
+    finally:
+        runner.stop()

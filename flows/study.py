@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -259,6 +260,11 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
     if item["type"] in ("model_type", "dict_type"):
         message = "should be a table"
     given = item["input"]
+    if item["type"] in ("tuple_type", "list_type"):
+        message = "should be a list" + (
+            f", such as {json.dumps([given])}" if isinstance(given, str | int | float) else ""
+        )
+    message = message.replace("Tuple should", "the list should").replace(" item after validation,", " item,")
     return f"{path}: {message}" + ("" if isinstance(given, dict | BaseModel) else f"; found {given!r}")
 
 

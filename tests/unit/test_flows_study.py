@@ -124,6 +124,7 @@ def test_what_is_wrong_in_a_sweep_is_said_with_its_full_path(tmp_path: Path, tex
         ("[study]", "", "study.name: missing"),
         ('[study]\nname = "../up"', "", "study.name: "),
         ("study = 3", "", "study: should be a table; found 3"),
+        (HEAD, 'load.people="a.bvh"', 'load.people: should be a list, such as ["a.bvh"]; found'),
         (None, "", "does not exist"),
     ],
 )

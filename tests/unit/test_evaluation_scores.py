@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from benchmarks.synthetic import random_pairs
 from pasdedeux.augmentation import AugmentationSettings, Source
+from pasdedeux.augmentation.variations import Variation
 from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion
@@ -352,3 +355,35 @@ def test_the_gap_of_the_bulk_solver_is_measured_beside_its_estimate(monkeypatch:
     assert 0 <= end["sample_energy_excess_worst"] < 0.05
     for metric, value in early.items():
         assert value > 2.0 * end[metric]
+
+
+def test_the_gap_is_that_of_the_first_and_the_last_variant_in_the_second_in_the_middle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The bulk solver ends 2 and 6 cm beside the other, with a fifth and half more energy."""
+    solved: list[tuple[str, int, list[str]]] = []
+
+    class Solver:
+        def __init__(self, sample: Source, settings: AugmentationSettings, user_contacts: object) -> None:
+            self.sample, self.solver = sample, settings.solver
+
+        def solve(self, variations: list[Variation]) -> list[SimpleNamespace]:
+            solved.append((self.solver, self.sample.num_frames, [one.variant_id for one in variations]))
+            is_bulk, people = self.solver == "bulk", self.sample.positions_m
+            away, energy = ([0.02, 0.06], [1.2, 1.5]) if is_bulk else ([0.0, 0.0], [1.0, 1.0])
+            estimated = [0.03, None] if is_bulk else [None, None]
+            return [
+                SimpleNamespace(positions_m=np.add(people, [0.0, far, 0.0]), energy=cost, estimated_gap_m=guess)
+                for far, cost, guess in zip(away, energy, estimated, strict=True)
+            ]
+
+    monkeypatch.setattr("tasks.evaluation.augmentation.Augmenter", Solver)
+    source = Source(swaying_pair(100), 20.0)
+    scores = gap_scores(source, np.ones((5, 2, 22)), AugmentationSettings(), item="waltz")
+    assert solved == [("bulk", 20, ["0", "4"]), ("polished", 20, ["0", "4"])]
+    found = {score.metric: (score.value, score.unit, score.item, score.count) for score in scores}
+    wanted = {"sample_gap_mean": 0.04, "sample_gap_worst": 0.06, "sample_estimated_gap_mean": 0.015}
+    wanted |= {"sample_estimated_gap_worst": 0.03}
+    for metric, value in wanted.items():
+        assert found[metric] == (pytest.approx(value), "m", "waltz", 2)
+    assert found["sample_energy_excess_worst"] == (pytest.approx(0.5), "", "waltz", 2)

@@ -114,7 +114,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         grid.frame_of_row,
         rate_of(data["time_s"]),
         behind=None if truth is None else People(BODY22, truth),
-        behind_name="as captured",
+        behind_name="capture",
         camera=seen.locate_camera(shown, grid, camera_from_upright, facts.lens_factor or 1.0),
         film=None if seen.film is None else lambda frame: seen.steady_image(int(grid.frames[frame])),
         numbers=grid.frames,
@@ -297,7 +297,7 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
         people,
         rows,
         behind=People(PAIR17, truths) if np.isfinite(truths).any() else None,
-        behind_name="as captured",
+        behind_name="capture",
         curves={name: data[name] for name in ("expected_error_m", "residual_m")},
         say=say,
         images=lambda frame: Seen.of(shelf, places[frame].sequence_id).flats(

@@ -45,6 +45,8 @@ CLOUD: Mapping[str, Any] = {"linewidths": 0, "rasterized": True}
 """Clouds of points are drawn as an image within the figure: thousands of shapes would be megabytes."""
 _DOTS_PER_INCH = 90
 _ORIGIN = np.zeros(2)
+_PAPER: Mapping[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+"""What lies behind values and names that lines would cross."""
 _LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
 
 
@@ -175,8 +177,9 @@ def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
     for name, level in sorted(panel.levels.items(), key=lambda item: item[1]):
         if level - named > _LEVEL_GAP * (top - bottom):
             axis.annotate(
-                in_words(name), (1.0, level), xycoords=("axes fraction", "data"), fontsize=6, ha="right", va="bottom"
-            )
+                in_words(name), (1.0, level), xycoords=("axes fraction", "data"), fontsize=6, ha="right", va="bottom",
+                bbox=_PAPER, zorder=4,
+            )  # fmt: skip
             named = level
     label_axis(axis, x_label, panel.y_label)
     axis.grid(visible=True, alpha=0.25)
@@ -189,8 +192,7 @@ def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, 
         is_baseline = name in baselines
         axis.barh(row, value, color=style_of(name).colour, hatch="//" if is_baseline else None, edgecolor="white")
         place = {"xytext": (3, 0), "textcoords": "offset points", "fontsize": 7, "va": "center"}
-        paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-        axis.annotate(f"{value:.3g}", (value, row), **place, bbox=paper, zorder=4)
+        axis.annotate(f"{value:.3g}", (value, row), **place, bbox=_PAPER, zorder=4)
     axis.set_yticks(np.arange(len(values)), list(map(in_words, values)))
     axis.invert_yaxis()
     axis.margins(x=0.12)

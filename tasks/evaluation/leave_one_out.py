@@ -156,8 +156,8 @@ def _draw(shown: _ShownLeaveOneOut) -> Iterator[Picture]:
         yield Picture("leave-one-out.svg", caption, nearest_draw_figure(shown.curves, shown.baselines))
     caption = (
         "A map of the annotations: what is near is alike (Yin et al. 2018, fig. 5b); some are drawn as people. "
-        "Circles: annotations that draws are nearest to, larger where more draws are. Crosses: annotations left "
-        "out. Better: circles lie all over the annotations, and near every cross."
+        "Coloured marks: annotations that draws are nearest to, larger where more draws are. Crosses: annotations left "
+        "out. Better: the marks lie all over the annotations, and near every cross."
     )
     with suppress(InputError):
         content = annotation_map_figure(shown.images_m, shown.nearest_m, shown.left_out_m)

@@ -159,18 +159,14 @@ def echo(text: str, *, err: bool = False) -> None:
 
 @contextmanager
 def busy(words: str) -> Iterator[None]:
-    """Say on standard error what is being done while it takes more than two seconds, and for how long.
-
-    A terminal has one line that counts; elsewhere there is a line after 2 s, 4 s, 8 s and so on.
-    """
-    ended, started, is_terminal = threading.Event(), time.monotonic(), sys.stderr.isatty()
+    """Say on standard error what is being done, and for how long, after 2 s, 4 s, 8 s and so on."""
+    ended, started = threading.Event(), time.monotonic()
 
     def tell() -> None:
         wait_s = _BUSY_S
         while not ended.wait(wait_s):
-            line = f"{words}: {time.monotonic() - started:.0f} s"
-            typer.echo(f"\r{visible(line)}", err=True, nl=False) if is_terminal else echo(line, err=True)
-            wait_s *= 1 if is_terminal else 2
+            echo(f"{words}: {time.monotonic() - started:.0f} s", err=True)
+            wait_s *= 2
 
     teller = threading.Thread(target=tell, daemon=True)
     teller.start()
@@ -179,8 +175,6 @@ def busy(words: str) -> Iterator[None]:
     finally:
         ended.set()
         teller.join()
-        if is_terminal and time.monotonic() - started > _BUSY_S:
-            typer.echo(err=True)
 
 
 def say(lines: Iterable[str], *, err: bool = False) -> None:

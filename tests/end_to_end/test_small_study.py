@@ -66,7 +66,7 @@ SECTIONS = {
     "Sources and licences",
 }
 MADE = {"selected_pairs", "contacts", "clips"}
-FILLED = set(TABLES) - {"objects", "model_states", "torso_basis", "joint_limits", *MADE}
+FILLED = set(TABLES) - {"camera_motions", "objects", "model_states", "torso_basis", "joint_limits", *MADE}
 """The study has no object, no model that is trained in several segments, and no take that priors are learned from;
 selected pairs are in files alone."""
 RATE_HZ = 12.0
@@ -190,8 +190,8 @@ def test_status_and_verify_find_everything_in_place(small: BuiltStudy, capsys: p
 @pytest.mark.parametrize(
     ("reference", "names"),
     [
-        ("poses:small/waltz", ("waltz_A", "waltz_B")),
-        ("variants:small/waltz", ("waltz_A-uniform-0.95_A", "waltz_A-uniform-0.95_B")),
+        ("poses:small/waltz", ("waltz.A", "waltz.B")),
+        ("variants:small/waltz", ("waltz_A-0.95.A", "waltz_A-0.95.B")),
     ],
 )
 def test_what_goes_out_as_bvh_can_come_in_again(

@@ -34,7 +34,7 @@ def test_a_lifted_pair_stands_before_the_capture_as_its_camera_saw_it_with_its_i
     lifted = put_lifted(store, "all", [row | {"num_joints_seen": 20 + at} for at, row in enumerate(rows)])
     shelf = Shelf(store, [lifted.ref], [video.ref for video in videos])
     scene = scene_of(shelf, "lifted_pairs")
-    assert (scene.num_frames, scene.behind_name, scene.has_floor) == (3, "as captured", False)
+    assert (scene.num_frames, scene.behind_name, scene.has_floor) == (3, "capture", False)
     np.testing.assert_allclose(scene.people.positions_m, [row["pair17_m"] for row in rows], atol=1e-6)
     assert scene.behind is not None
     true = poses["hidden"][4] @ TURNS["film hidden"].T
@@ -112,7 +112,7 @@ def test_a_reconstruction_stands_upright_before_the_capture_and_its_error_is_of_
     error = 0.1 * np.linalg.norm((true - roots)[:, :, LIMBS22], axis=-1).mean(axis=(1, 2))
     np.testing.assert_allclose(scene.curves["error_m"], error, atol=1e-5)
     np.testing.assert_allclose(scene.curves["match_distance_m"], 0.05 + 0.01 * np.arange(FRAMES - 1), atol=1e-6)
-    assert (scene.rate_hz, scene.behind_name) == (pytest.approx(RATE_HZ), "as captured")
+    assert (scene.rate_hz, scene.behind_name) == (pytest.approx(RATE_HZ), "capture")
     assert scene.behind is not None
     behind, shown = scene.behind.positions_m, scene.people.positions_m
     assert behind[..., 1].min() == pytest.approx(shown[..., 1].min(), abs=1e-5)

@@ -246,14 +246,16 @@ class Data:
         if count is not None:
             check_whole(count, "count", minimum=1)
         left_out = self.left_out(reference)
-        names = {*(IDENTITY[table] if left_out else ()), *(() if all_methods else PRODUCT_COLUMNS.get(table, ()))}
+        names = IDENTITY[table] if left_out else ()
         total = sum(rows.stop - rows.start for _, rows in find_rows(parse_reference(reference), self.store))
-        wanted = np.asarray(range(total) if count is None else evenly_spread(total, count), dtype=np.int64)
+        wanted = np.arange(total)
+        if not all_methods and table in PRODUCT_COLUMNS:
+            wanted = product_rows(open_table(reference, self.store, columns=PRODUCT_COLUMNS[table]))
+        wanted = wanted if count is None else wanted[evenly_spread(len(wanted), count)]
         found, kept, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], [wanted[:0]], 0
-        for batch in iter_rows(reference, self.store, columns=["pair17_m", *sorted(names)]):
+        for batch in iter_rows(reference, self.store, columns=["pair17_m", *names]):
             own = wanted[(wanted >= first) & (wanted < first + batch.num_rows)] - first
             own = own[np.isin(own, rows_without(batch, left_out))]
-            own = own if all_methods else own[np.isin(own, product_rows(batch))]
             kept.append(first + own)
             found.append(np.asarray(batch["pair17_m"][own], dtype=np.float64))
             first += batch.num_rows
@@ -263,8 +265,7 @@ class Data:
         """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
-            count = None if table in PRODUCT_COLUMNS else _MAX_SHOWN
-            return [self.pairs(reference, count=count, all_methods=False).picture]
+            return [self.pairs(reference, count=_MAX_SHOWN, all_methods=False).picture]
         if table == "motions":
             left_out = self.left_out(reference)
             motions = (read_shown_motion(self.store, ref, left_out) for ref in resolve(reference, self.store))

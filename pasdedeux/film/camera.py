@@ -111,8 +111,8 @@ class CameraFollower:
         """Make an image the reference."""
         import cv2
 
-        found = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.003, 5.0, mask=is_free)
-        corners = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2)
+        strong = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.003, 5.0, mask=is_free)
+        corners = np.zeros((0, 2), np.float32) if strong is None else strong.reshape(-1, 2)
         self._reference = (grey, corners, matrix, corners.copy()) if len(corners) >= _MIN_CORNERS else None
 
     def _follow(self, grey: Image, is_free: Image) -> Array | None:
@@ -138,17 +138,17 @@ class CameraFollower:
         chosen = np.flatnonzero((was_found.reshape(-1) > 0) & is_inside & (is_free[at[:, 1], at[:, 0]] > 0))
         if len(chosen) < _MIN_CORNERS:
             return None
-        found, fits = cv2.estimateAffinePartial2D(
+        similarity, fits = cv2.estimateAffinePartial2D(
             moved[chosen], corners[chosen], method=cv2.RANSAC, ransacReprojThreshold=_MAX_MISFIT_PX
         )
         num_fitting = 0 if fits is None else int(np.count_nonzero(fits))
         enough = max(_MIN_CORNERS, _MIN_FITTING * len(chosen), _MIN_KEPT * len(corners))
-        if found is None or num_fitting < enough:
+        if similarity is None or num_fitting < enough:
             return None
         # Corners that people hide, or that were lost, are looked for where the image now has them.
-        back = cv2.invertAffineTransform(found)
+        back = cv2.invertAffineTransform(similarity)
         places = corners @ back[:, :2].T.astype(np.float32) + back[:, 2].astype(np.float32)
         self._reference = (image, corners, matrix, places)
-        both = matrix[:, :2] @ found
+        both = matrix[:, :2] @ similarity
         both[:, 2] += matrix[:, 2]
         return np.asarray(both)

@@ -49,7 +49,7 @@ class CameraMotion:
     def at_times(self, numbers: Integers, places: Array) -> CameraMotion:
         """Return the motion at other moments: for each of these successive frames a place (frame,) among its own."""
         flat = self.steady_from_image.reshape(len(self.frames), -1)
-        matrices = np.stack([np.interp(places, self.frames, one) for one in flat.T], axis=-1)
+        matrices = np.stack([np.interp(places, self.frames, entry) for entry in flat.T], axis=-1)
         return CameraMotion(int(numbers[0]), matrices.reshape(-1, 2, 3), self.image_size_px)
 
     def resized(self, scale: float) -> CameraMotion:

@@ -114,9 +114,11 @@ def _hero(store: Store, found: Sequence[Manifest]) -> Picture | None:
 
 def _compared(topic: Topic[Any], scores: Sequence[Score], summary: Summary) -> tuple[bytes, str] | None:
     """Draw the figure of a topic's first criterion that can be drawn, method by method, as its verdict has it."""
-    named = ((one, part_name(EVALUATION.name, f"{topic.name} {one.name}".strip())) for one in topic.criteria)
-    drawn = (one.picture(scores, summary.verdicts.get(name)) for one, name in named)
-    return next((one for one in drawn if one is not None), None)
+    for criterion in topic.criteria:
+        verdict = summary.verdicts.get(part_name(EVALUATION.name, f"{topic.name} {criterion.name}".strip()))
+        if (drawn := criterion.picture(scores, verdict)) is not None:
+            return drawn
+    return None
 
 
 def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> str:

@@ -51,6 +51,7 @@ FEW: Mapping[str, Any] = {
     "evaluation.num_realism_variants": 1,
     "evaluation.num_test_variants": 1,
     "evaluation.num_downstream_seeds": 1,
+    "evaluation.num_training_takes": [1],
     "evaluation.*.num_steps": 1,
     "evaluation.unseen_views_deg": [0],
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from flows.exports import export_reference
 from flows.exports.export_format import FileNames
+from pasdedeux.data import Data
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
@@ -20,7 +22,7 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.reconstruction.body import EmbodiedMotion, body_through, hold_hips, pose_body
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
-from storage_schema import TABLES, ArtifactRef, Store, TableData
+from storage_schema import TABLES, ArtifactRef, Store, TableData, open_table
 from storage_schema.encoding import encode
 from tasks.ingest import STAGE, IngestParameters
 from tasks.products import product_rows
@@ -243,6 +245,35 @@ def test_the_product_of_lifted_pairs_is_the_best_method_of_each_annotation() -> 
     }
     rows = TableData(TABLES["lifted_pairs"], encode(TABLES["lifted_pairs"], columns))
     assert [made[row] for row in product_rows(rows)] == ["over_time", "completed", "fitted", "lifting"]
+
+
+def test_products_are_chosen_over_the_whole_table_and_not_batch_by_batch(tmp_path: Path) -> None:
+    count = 2_500
+    columns = {name: values[:1] * (4 * count) for name, values in _lists(random_columns("lifted_pairs", 1)).items()} | {
+        "method": [method for method in ("mean_pair", "fitted", "over_time", "lifting_ik") for _ in range(count)],
+        "frame": np.tile(np.arange(count), 4),
+        "sequence_id": ["s"] * (4 * count),
+        "person_id": [0] * (4 * count),
+        "partner_id": [1] * (4 * count),
+    }
+    store = Store(tmp_path)
+    made = put(store, "lifting", "lifted", {"lifted_pairs": columns}, {"takes": []})
+    reference = f"lifted_pairs@{made.ref.key}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tasks.data.iter_rows", lambda *_, **__: _batches(open_table(reference, store), 3_000))
+        pairs = Data(store).pairs(reference, all_methods=False)
+        some = Data(store).pairs(reference, count=5, all_methods=False)
+    np.testing.assert_array_equal(pairs.rows, 2 * count + np.arange(count))
+    assert some.rows.tolist() == [2 * count + at for at in (0, 625, 1250, 1874, 2499)]
+
+
+def _lists(columns: dict[str, Any]) -> dict[str, list[Any]]:
+    return {name: list(values) for name, values in columns.items()}
+
+
+def _batches(rows: TableData, size: int) -> Iterator[TableData]:
+    for first in range(0, rows.num_rows, size):
+        yield TableData(rows.table, rows.rows.slice(first, size))
 
 
 def test_names_that_join_to_the_same_give_files_of_their_own(tmp_path: Path) -> None:

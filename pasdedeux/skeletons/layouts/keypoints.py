@@ -90,9 +90,9 @@ class KeypointLayout:
         [[10, 9], [9, 8], [8, 1]]
         """
         place = {name: at for at, name in enumerate(self.keypoint_names, start=first)}
-        lines = [[one for one in chain if one in place] for chain in _CHAINS]
+        lines = [[name for name in chain if name in place] for chain in _CHAINS]
         ends = [pair for line in lines for pair in pairwise(line)]
-        return [[place[one] for one in pair] for pair in dict.fromkeys(ends)]
+        return [[place[name] for name in pair] for pair in dict.fromkeys(ends)]
 
     def find_keypoints(self, names: Sequence[str]) -> list[int | None]:
         """Return for each keypoint which of the names is its, None where none is."""

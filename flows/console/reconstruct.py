@@ -303,8 +303,7 @@ def _over_film(
     first = film.parameters.first_number + film.parameters.first_frame
     rows: list[tuple[int, int, Array]] = []
     for person in tracks:
-        depth_m = np.maximum(-person.positions_m[..., 2:], 1e-3)
-        px = camera.principal_point_px + camera.focal_px * person.positions_m[..., :2] / depth_m * (1, -1)
+        px = _projected_px(person.positions_m, camera.principal_point_px, camera.focal_px)
         px = px if motion is None else motion.image_px(person.track.frames, px)
         rows += [(int(frame), person.person_id, one) for frame, one in zip(person.track.frames, px, strict=True)]
     frame, person_id, points = (np.array(column) for column in zip(*rows, strict=True))
@@ -321,6 +320,13 @@ def _over_film(
     return Picture(f"{film.parameters.id}-film.svg", caption, moving_svg(images, shown_hz))
 
 
+def _projected_px(positions_m: Array, middle_px: Sequence[float] | Array, focal_px: float) -> Array:
+    """Return where points (*batch, 3) in camera axes are in the image, pixels."""
+    return np.asarray(
+        np.asarray(middle_px) + focal_px * positions_m[..., :2] / np.maximum(-positions_m[..., 2:], 1e-3) * (1, -1)
+    )
+
+
 def _shown(found: ReconstructedPeople, sequence_id: str) -> Picture:
     """Show the people of a sequence upright, beside the 2D poses that they were found in."""
     people, lens_factor = found.methods[-1].people, 1.0 if found.scene is None else found.scene.lens_factor
@@ -332,9 +338,9 @@ def _shown(found: ReconstructedPeople, sequence_id: str) -> Picture:
         at, lens = np.searchsorted(frames, person.track.frames), person.track.lens
         upright_m[at, number] = (person.positions_m - origin_m) @ found.camera_from_upright_rotmat + [0.0, soles, 0.0]
         seen_px[at, number] = person.track.keypoints_px
-        depth_m = np.maximum(-person.positions_m[..., 2:], 1e-3)
-        across = person.positions_m[..., :2] / depth_m * (1, -1)
-        projected_px[at, number] = lens.principal_point_px + lens_factor * lens.focal_px * across
+        projected_px[at, number] = _projected_px(
+            person.positions_m, lens.principal_point_px, lens_factor * lens.focal_px
+        )
     rate_hz = people[0].track.rate_hz
     player = reconstruction_player(
         upright_m, rate_hz=rate_hz, keypoints_px=seen_px, projected_px=projected_px, has_floor=True

@@ -10,9 +10,12 @@ import pytest
 
 from flows.exports import export_selection
 from pasdedeux.errors import InputError
+from pasdedeux.sampling.seeds import seed_quality
+from pasdedeux.sampling.selection import MIN_LOG_PRIOR
 from storage_schema import TABLES, ShardRecord, open_table, record_latest
 from tasks import chains
 from tasks.chains import ChainsParameters
+from tasks.priors import read_limits
 from tasks.selection import select_pairs
 from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 
@@ -37,15 +40,40 @@ def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_a
         np.testing.assert_array_equal(open_table(reference, store)["pair17_m"][0], pair)
     info = [store.read(one.ref, "chain_info") for one in made if "chain_info" in one.tables]
     sizes = [size for table in info if table["density"][0] == "ic" for size in table["ess_min"]]
-    effective = np.clip(np.nan_to_num(sizes, nan=1.0), 1.0, QUICK["num_draws"])
-    # No grown pair repeats another here, and all are plausible.
-    assert found.num_plausible == found.num_draws + found.num_grown
-    np.testing.assert_allclose(found.num_independent, effective.sum() + 12)
+    share = np.clip(np.nan_to_num(sizes, nan=1.0), 1.0, QUICK["num_draws"]) / QUICK["num_draws"]
+    drawn = [
+        store.read(one.ref, "draws", columns=["density", "chain", "log_prior"]) for one in made if "draws" in one.tables
+    ]
+    num_drawn = np.sum(
+        [
+            [np.sum(table["log_prior"][table["chain"] == chain] >= MIN_LOG_PRIOR) for chain in range(len(share))]
+            for table in drawn
+            if table["density"][0] == "ic"
+        ],
+        axis=0,
+    )
+    grown = [store.read(one.ref, "seeds", columns=["origin", "log_prior", "pair17_m"]) for one in stages["seeds"]]
+    limits = read_limits(store, tuple(one.ref for one in stages["seeds"]))
+    num_grown = sum(
+        int(np.sum((table["log_prior"] >= MIN_LOG_PRIOR) & seed_quality(table["pair17_m"], limits).is_possible))
+        for table in grown
+        if "grown" in table["origin"]
+    )
+    assert 0 < num_drawn.sum() <= found.num_draws
+    assert 0 < num_grown <= found.num_grown
+    assert found.num_plausible == num_drawn.sum() + num_grown
+    # No grown pair repeats another here.
+    np.testing.assert_allclose(found.num_independent, np.dot(share, num_drawn) + num_grown)
     np.testing.assert_allclose(rows["weight"].sum(), found.num_independent)
     names = [column.name for column in TABLES["selected_pairs"].columns]
     (path, _), words = export_selection(store, "draws:mine", "npz", tmp_path, count=4)
     with np.load(path) as arrays:
-        assert list(arrays) == names
+        assert set(names) <= set(arrays)
+        assert all(
+            str(arrays[f"{column.name}_unit"]) == column.unit
+            for column in TABLES["selected_pairs"].columns
+            if column.unit
+        )
         assert arrays["pair17_m"].shape == (4, 2, 17, 3)
         assert np.isnan(arrays["distance_m"][0])
     assert words.startswith("4 pairs, at least 2 cm from each other, of 16 draws and 12 grown and filled pairs, ")

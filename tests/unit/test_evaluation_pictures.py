@@ -155,7 +155,7 @@ _PROBE = """
 const [hero, ...figures] = [...document.querySelectorAll("figure.player")];
 const folded = [...document.querySelectorAll("main details")].every((one) => !one.open || one.matches(".topic *"));
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
-for (let tries = 0; tries < 20 && !players.get(hero)?.isPlaying; tries++) await wait(50);
+for (let tries = 0; tries < 200 && !players.get(hero)?.isPlaying; tries++) await wait(50);
 const opening = { plays: players.get(hero)?.isPlaying, bottom: hero.getBoundingClientRect().bottom };
 window.requestAnimationFrame = (act) => setTimeout(() => act(performance.now()), 20);  // no screen, hardly a frame
 document.querySelectorAll("details").forEach((one) => { one.open = true; });

@@ -13,7 +13,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
-from pasdedeux.skeletons.layouts.fitting import NEEDED
+from pasdedeux.skeletons.layouts.recognising import NEEDED
 from storage_schema import Store
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs

@@ -18,7 +18,7 @@ from pasdedeux.formats.guess import draft_motion
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.layouts import Draft, draft_mapping, find_layout, resolve_layout
-from pasdedeux.skeletons.layouts.fitting import NEEDED
+from pasdedeux.skeletons.layouts.recognising import NEEDED
 from tests.builders.guesses import guess_motion
 from tests.builders.rigs import RIGS, SMALL_BVH, Rig
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pasdedeux.skeletons.layouts.drafting import Draft, DraftedPart, draft_mapping
-from pasdedeux.skeletons.layouts.fitting import find_layout, fit_layout, fit_parts, joints_missing, resolve_layout
+from pasdedeux.skeletons.layouts.fitting import fit_parts
 from pasdedeux.skeletons.layouts.joint_names import is_joint
 from pasdedeux.skeletons.layouts.keypoints import (
     FEET4,
@@ -15,6 +15,7 @@ from pasdedeux.skeletons.layouts.keypoints import (
 )
 from pasdedeux.skeletons.layouts.layout import Layout
 from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
+from pasdedeux.skeletons.layouts.recognising import find_layout, fit_layout, joints_missing, resolve_layout
 
 __all__ = [
     "FEET4",

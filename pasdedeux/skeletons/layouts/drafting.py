@@ -12,10 +12,11 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.skeletons.layouts.fitting import NEEDED, NORMAL_NAMES, SEVERAL_PEOPLE, fit_parts, rest_positions
+from pasdedeux.skeletons.layouts.fitting import fit_parts, rest_positions
 from pasdedeux.skeletons.layouts.layout import Layout
 from pasdedeux.skeletons.layouts.motion_files import LAYOUTS
 from pasdedeux.skeletons.layouts.names import SIDES, normal_names
+from pasdedeux.skeletons.layouts.recognising import NEEDED, NORMAL_NAMES, SEVERAL_PEOPLE
 from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton
 
 _ALIKE = 0.15

@@ -39,7 +39,9 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "generated motion": {"evaluation: generation": _COMPARED},
 }
 """What a reader may use: the verdicts on it, or on its parts, and what these say in a few words."""
-_ADVICE = {Level.PASS: "use", Level.WARN: "read the warnings on", Level.FAIL: "do not use"}
+_ADVICE = {Level.PASS: "use {}", Level.WARN: "read the warnings on {}", Level.FAIL: "do not use {}"}
+_IN_PART = "leave out {} that fail"
+"""Advice on a product of which only some results fail by themselves, such as takes."""
 _JUDGES = tuple(start for judges in _PRODUCTS.values() for start in judges)
 
 
@@ -101,6 +103,15 @@ class Product:
         return max((verdict.level for verdict in self.verdicts.values()), key=lambda level: level.rank)
 
     @property
+    def advice(self) -> str:
+        """What to do with it, with a place for its name."""
+        failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL}
+        by_result = all(_PRODUCTS[self.name][str(_judge_of(name))] is _USABLE for name in failed)
+        if failed and by_result and all(any(row[0] is not Level.FAIL for row in one.tally) for one in failed.values()):
+            return _IN_PART
+        return _ADVICE[self.level]
+
+    @property
     def words(self) -> str:
         """What the verdicts say: `usable; contacts kept better than plain forward kinematics`."""
         said = []
@@ -157,9 +168,11 @@ class Summary:
         >>> Summary([], [], verdicts).advice
         'Use the variants; do not use the draws.'
         """
-        named = {level: [f"the {one.name}" for one in self.products if one.level is level] for level in _ADVICE}
-        parts = (f"{words} {together(named[level])}" for level, words in _ADVICE.items() if named[level])
-        sentence = "; ".join(parts)
+        named: dict[str, list[str]] = {}
+        for one in self.products:
+            named.setdefault(one.advice, []).append(f"the {one.name}")
+        order = [words for words in (*_ADVICE.values(), _IN_PART) if words in named]
+        sentence = "; ".join(words.format(together(named[words])) for words in order)
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
 
     @property

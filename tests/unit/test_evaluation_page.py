@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from pasdedeux.evaluation.summary import Summary
+from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Store
 from tasks.evaluation import STAGE
@@ -80,6 +81,20 @@ def test_a_model_without_arrays_counts_as_one(tmp_path: Path) -> None:
     )
     made = put(Store(tmp_path), "training", "copy", {"models": random_columns("models", 0)}, facts.to_json())
     assert summary_of([made]).built.startswith("1 model (")
+
+
+@pytest.mark.parametrize(
+    ("levels", "advice"),
+    [
+        ((Level.FAIL, Level.PASS), "Leave out the takes that fail."),
+        ((Level.FAIL, Level.FAIL), "Do not use the takes."),
+        ((Level.WARN, Level.PASS), "Read the warnings on the takes."),
+    ],
+)
+def test_takes_of_which_some_fail_are_not_all_thrown_away(levels: tuple[Level, ...], advice: str) -> None:
+    merged = merge_verdicts(Verdict(level, "the left_toe jumps" if level is not Level.PASS else "") for level in levels)
+    assert merged is not None
+    assert Summary([], [], {"ingest": merged}).advice == advice
 
 
 def test_a_run_ends_with_what_to_use_and_with_what_fails() -> None:

@@ -107,9 +107,9 @@ def check_glb(path: Path) -> None:
     tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
 
     def values(accessor: int) -> np.ndarray:
-        one = tree["accessors"][accessor]
-        view = tree["bufferViews"][one["bufferView"]]
-        return np.frombuffer(binary, "<f4", view["byteLength"] // 4, view["byteOffset"]).reshape(one["count"], -1)
+        entry = tree["accessors"][accessor]
+        view = tree["bufferViews"][entry["bufferView"]]
+        return np.frombuffer(binary, "<f4", view["byteLength"] // 4, view["byteOffset"]).reshape(entry["count"], -1)
 
     (moving,) = tree["animations"]
     tracks = {
@@ -199,13 +199,13 @@ def nodes_at(tree: dict, tracks: dict, frame: int, root: int) -> dict[int, np.nd
     stack = [(root, np.eye(3), np.zeros(3))]
     while stack:
         node, turn, start = stack.pop()
-        one = tree["nodes"][node]
-        move = tracks[node, "translation"][frame] if (node, "translation") in tracks else np.array(one["translation"])
+        entry = tree["nodes"][node]
+        move = tracks[node, "translation"][frame] if (node, "translation") in tracks else np.array(entry["translation"])
         x, y, z, w = tracks[node, "rotation"][frame]
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         places[node] = start + turn @ move
         turn = turn @ (np.eye(3) + 2 * w * cross + 2 * cross @ cross)
-        stack += [(child, turn, places[node]) for child in one.get("children", ())]
+        stack += [(child, turn, places[node]) for child in entry.get("children", ())]
     return places
 
 

@@ -237,11 +237,11 @@ def measure(clip: Clip) -> Measured:
 
 
 def _measured(
-    family: str, found: Sequence[tuple[object, Mapping[str, Figure]]], limits: Mapping[str, tuple[float, float]]
+    family: str, measured: Sequence[tuple[object, Mapping[str, Figure]]], limits: Mapping[str, tuple[float, float]]
 ) -> Measured:
     values: dict[str, float] = {}
     past: set[str] = set()
-    for one, figures in found:
+    for one, figures in measured:
         for first in (first for first, *_ in KINDS.values() if first in figures):
             value = getattr(one, first)
             values[first] = np.fmax(values.get(first, np.nan), np.nan if value is None else value)
@@ -269,11 +269,11 @@ def measure_drift(clip: Clip, generator: np.random.Generator) -> tuple[Measured,
     scale = np.ones((2, BODY22.num_joints))
     scale[generator.integers(2)] = generator.uniform(0.85, 1.15)
     variant = Augmenter(source).solve([Variation("variant", scale)])[0].positions_m
-    found = []
+    drifts = []
     for people in (variant, drift(variant, source, generator)):
         quality, held, _ = CheckedMotion("variant", people, source.rate_hz).held_against(original)
-        found.append(_measured(clip.family, [(quality, against.FIGURES), (held, HELD)], AGAINST_LIMITS))
-    return found[0], found[1]
+        drifts.append(_measured(clip.family, [(quality, against.FIGURES), (held, HELD)], AGAINST_LIMITS))
+    return drifts[0], drifts[1]
 
 
 def row(kind: str, untouched: Sequence[Measured], planted: Sequence[Measured]) -> tuple[str, ...]:

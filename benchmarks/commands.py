@@ -128,15 +128,15 @@ def _status() -> BenchmarkResult:
 
 def _takes() -> BenchmarkResult:
     """Measure three stages on ever more takes of 2 s, built in with other bodies, speeds and forms, in one process."""
-    found = []
+    takes = []
     for count in _NUMS_TAKES:
         with tempfile.TemporaryDirectory() as folder:
             study = Path(folder) / "takes.toml"
             study.write_text(_TAKES.format(count=count), encoding="utf-8")
-            found.append(_run(0, str(study), *(word for name in _STAGES for word in ("--only", name))))
-    memory, written = [one.memory_mb for one in found], [one.written_mb for one in found]
+            takes.append(_run(0, str(study), *(word for name in _STAGES for word in ("--only", name))))
+    memory, written = [one.memory_mb for one in takes], [one.written_mb for one in takes]
     megabytes = {"memory": memory, "written": written}
-    return growth(", ".join(_STAGES), "takes", _NUMS_TAKES, [one.processor_s for one in found], megabytes)
+    return growth(", ".join(_STAGES), "takes", _NUMS_TAKES, [one.processor_s for one in takes], megabytes)
 
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {"status": _status, "demo": _demo}

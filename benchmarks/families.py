@@ -151,17 +151,17 @@ class Takes:
 
     def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[Clip]:
         """Return as many clips of each family; those of another seed have nothing in common."""
-        rng, found = np.random.default_rng(seed), list[Clip]()
+        rng, clips = np.random.default_rng(seed), list[Clip]()
         for family, takes in FAMILIES.items():
             for number in range(num_clips):
                 take = takes[number % len(takes)]
                 start = int(rng.integers(0, max(len(self.poses_m[take]) - int(SECONDS * RATE_HZ), 0) + 1))
-                pitch = pitches_deg[(number * 3 + len(found) // num_clips) % len(pitches_deg)] + rng.uniform(-2, 2)
+                pitch = pitches_deg[(number * 3 + len(clips) // num_clips) % len(pitches_deg)] + rng.uniform(-2, 2)
                 stature, seed = float(rng.uniform(1.5, 2.0)), int(rng.integers(1e9))
                 yaw = float(rng.uniform(-np.pi, np.pi))
                 focal = (0.72, 1.15)[number % 2] * WIDTH
-                found.append(Clip(family, take, start, float(pitch), focal, stature, seed, yaw))
-        return found
+                clips.append(Clip(family, take, start, float(pitch), focal, stature, seed, yaw))
+        return clips
 
     def seen(self, clip: Clip, *, has_lens: bool = False) -> Seen:
         """Film a clip."""
@@ -230,10 +230,10 @@ class Row:
     verdict: str
 
 
-def rows_of(seen: Seen, found: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
+def rows_of(seen: Seen, reconstruction: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
     """Yield everybody and the couple of a clip."""
-    judged = found.judged
-    made = {one.name: one.people for one in found.people.methods} | (
+    judged = reconstruction.judged
+    made = {one.name: one.people for one in reconstruction.people.methods} | (
         {} if level is None else {"level": level.people.methods[-1].people}
     )
     made = {"ours": made.pop("fit_clean"), **{name: made[name] for name in ("nearest", "level") if name in made}}
@@ -245,8 +245,8 @@ def rows_of(seen: Seen, found: Reconstruction, level: Reconstruction | None) -> 
         }
         still = np.broadcast_to((truth - mid_hip(truth)[:, None]).mean(axis=0), truth.shape)
         errors["standing still"] = float(root_centred_error_m(still, truth).mean())
-        own = judged.people[person]
-        yield Row(seen.clip, False, errors, own.expected_error_m, own.evidence, own.verdict.level.value)
+        verdict = judged.people[person]
+        yield Row(seen.clip, False, errors, verdict.expected_error_m, verdict.evidence, verdict.verdict.level.value)
     for (first, second), place in judged.places.items():
         true = mid_hip(seen.truth_m[:, second]) - mid_hip(seen.truth_m[:, first])
         between = {name: people[second].root_m - people[first].root_m for name, people in made.items()}
@@ -284,9 +284,9 @@ def say_all(takes: Takes, asked: argparse.Namespace) -> None:
         for clip in (one for one in clips if one.family == family):
             seen = takes.seen(clip, has_lens=asked.lens)
             statures_m = {one.person_id: clip.stature_m for one in seen.tracks[:1]} if asked.stature else {}
-            found = reconstruct(seen, from_others, statures_m=statures_m)
+            reconstruction = reconstruct(seen, from_others, statures_m=statures_m)
             level = None if asked.no_level else reconstruct(seen, from_others, StatedCamera(0.0), statures_m)
-            rows += rows_of(seen, found, level)
+            rows += rows_of(seen, reconstruction, level)
             say(
                 f"{family} {clip.take}: "
                 + ", ".join(
@@ -296,11 +296,11 @@ def say_all(takes: Takes, asked: argparse.Namespace) -> None:
                 )
             )
     for is_place, words in ((False, "pose of each"), (True, "place of one to the other")):
-        own = [row for row in rows if row.is_place == is_place]
-        if own:
+        kind_rows = [row for row in rows if row.is_place == is_place]
+        if kind_rows:
             say(f"\n{words}, cm")
-            say_errors(own)
-            say_expected(own)
+            say_errors(kind_rows)
+            say_expected(kind_rows)
 
 
 def say_errors(rows: Sequence[Row]) -> None:
@@ -308,9 +308,9 @@ def say_errors(rows: Sequence[Row]) -> None:
     names = list(rows[0].errors_m)
     say(f"| family left out | {' | '.join(names)} | expected |\n|---|{'---|' * (len(names) + 1)}")
     for family in (*dict.fromkeys(row.clip.family for row in rows), "all"):
-        own = [row for row in rows if family in ("all", row.clip.family)]
-        means = [np.mean([row.errors_m[name] for row in own]) for name in names] + [
-            np.mean([row.expected_m for row in own])
+        family_rows = [row for row in rows if family in ("all", row.clip.family)]
+        means = [np.mean([row.errors_m[name] for row in family_rows]) for name in names] + [
+            np.mean([row.expected_m for row in family_rows])
         ]
         say(f"| {family} | {' | '.join(f'{100 * one:.1f}' for one in means)} |")
 
@@ -352,11 +352,11 @@ def outside(evidence: Array, true: Array, families: Any, chosen: Sequence[Any]) 
         families: Name of the family of each row (row,).
         chosen: Rows (row,) that the others are judged by: the others of all of these are every row, once.
     """
-    found = np.full((3, len(true)), np.nan)
+    predicted = np.full((3, len(true)), np.nan)
     for fit in chosen:
         middle = np.exp(evidence[~fit] @ fitted(evidence[fit], true[fit]))
-        found[:, ~fit] = middle * np.array([1.0, *parts(evidence[fit], true[fit], families[fit])])[:, None]
-    return found
+        predicted[:, ~fit] = middle * np.array([1.0, *parts(evidence[fit], true[fit], families[fit])])[:, None]
+    return predicted
 
 
 INTERVAL = (0.1, 0.9)
@@ -371,8 +371,8 @@ def parts(evidence: Array, true: Array, families: Any) -> Array:
     names = np.unique(families)
     means, squares = np.zeros((2, len(names)))
     for at, name in enumerate(names):
-        own = families == name
-        left = np.log(true[own]) - evidence[own] @ fitted(evidence[~own], true[~own])
+        of_family = families == name
+        left = np.log(true[of_family]) - evidence[of_family] @ fitted(evidence[~of_family], true[~of_family])
         means[at], squares[at] = left.mean(), np.sum((left - left.mean()) ** 2)
     within = squares.sum() / (len(true) - len(names))
     between = max(np.var(means, ddof=1) - within * len(names) / len(true), 0.0)

@@ -56,8 +56,8 @@ def tracked(film: Film, hidden: float) -> dict[str, float]:
         away = np.linalg.norm(places.reshape(film.px.shape) - film.px, axis=-1)
         return 100.0 * float(away[is_filled].mean()) / film.height_px
 
-    found = {"tracked": error(px), **{name: error(one) for name, one in others.items()}}
-    return found | {"filled": is_filled.sum() / is_between.sum(), "frames_per_s": count / seconds}
+    errors = {"tracked": error(px), **{name: error(one) for name, one in others.items()}}
+    return errors | {"filled": is_filled.sum() / is_between.sum(), "frames_per_s": count / seconds}
 
 
 def crossings(data: Path, take: str, seed: int) -> tuple[int, int, int]:
@@ -69,8 +69,8 @@ def crossings(data: Path, take: str, seed: int) -> tuple[int, int, int]:
     order = np.arange(len(seen.frame))
     place = order % 2
     rows = SequenceRows(seen.frame, place, seen.keypoints_px, confidence, order)
-    found = resolve_sequence(take, rows, KEYPOINT_LAYOUTS["op14"], rate_hz=seen.rate_hz, has_identities=False).rows
-    true = seen.true_id[found.source_row]
+    resolved = resolve_sequence(take, rows, KEYPOINT_LAYOUTS["op14"], rate_hz=seen.rate_hz, has_identities=False).rows
+    true = seen.true_id[resolved.source_row]
     offset = np.full(int(seen.frame.max()) + 1, np.nan)
     middle = np.nanmean(np.where(confidence[..., None] > 0, seen.keypoints_px, np.nan)[:, 2:12, 0], axis=1)
     for frame in range(len(offset)):
@@ -79,7 +79,8 @@ def crossings(data: Path, take: str, seed: int) -> tuple[int, int, int]:
     clear = np.flatnonzero(np.abs(offset) > 0.1 * np.nanmax(np.abs(offset)))
     changes = [(a, b) for a, b in pairwise(clear) if offset[a] * offset[b] < 0]
     take_id = {
-        (int(frame), int(who)): int(name) for frame, who, name in zip(found.frame, true, found.person_id, strict=True)
+        (int(frame), int(who)): int(name)
+        for frame, who, name in zip(resolved.frame, true, resolved.person_id, strict=True)
     }
     kept = sum(
         take_id.get((a, 0)) == take_id.get((b, 0)) and take_id.get((a, 1)) == take_id.get((b, 1)) for a, b in changes
@@ -126,14 +127,14 @@ def whole(data: Path, folder: Path) -> dict[str, dict[str, float]]:
         study.write_text(_WHOLE.format(name=name, sources=tables))
         assert run_command_line(["run", str(study), "--store", str(folder / "store"), "--workers", "0"]) == 0
         rows = open_table(f"lifted_pairs:{name}", folder / "store")
-        found: dict[str, list[float]] = {}
+        distances: dict[str, list[float]] = {}
         for sequence, frame, method, pair in zip(*(rows[one] for one in _LIFTED), strict=True):
             take_id = str(sequence).partition(".")[0]
             own, true = pair.reshape(-1, 3).astype(np.float64), truth[take_id][frame].reshape(-1, 3)
             error = float(np.linalg.norm(align_rigid(own, true).apply(own) - true, axis=-1).mean())
             for key in (f"{take_id} {method}", f"all {method}"):
-                found.setdefault(key, []).append(error)
-        errors[name] = {key: float(np.mean(one)) for key, one in found.items()}
+                distances.setdefault(key, []).append(error)
+        errors[name] = {key: float(np.mean(one)) for key, one in distances.items()}
     return errors
 
 

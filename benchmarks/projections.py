@@ -180,9 +180,9 @@ def _published() -> BenchmarkResult:
     exact = _waits_ms(lambda: lambda _, query: index.search(query), queries)
     px = DatabaseCamera().project(made_up_database(_LIVE_FRAMES, seed=1).poses_m.astype(np.float64))
     track = Track(px * [350.0, -350.0], np.ones(px.shape[:2]), 24.0, Lens(1e9, (0.0, 0.0)))
-    found = match_track(searcher, track)
+    matches = match_track(searcher, track)
     frames = {"place and exact search": lambda: match_track(searcher, track)} | {
-        f"method {method}": partial(reconstruct_track, searcher, track, method, matches=found)
+        f"method {method}": partial(reconstruct_track, searcher, track, method, matches=matches)
         for method in (Method.PUBLISHED, Method.VITERBI, Method.FIT)
     }
     shown = [

@@ -31,14 +31,14 @@ Figures = Mapping[ScoreName, tuple[float | None, str]]
 
 def _figures_of(store: Store, manifests: Iterable[Manifest]) -> Figures:
     """Return the scores among these artifacts."""
-    found: dict[ScoreName, tuple[float | None, str]] = {}
+    figures: dict[ScoreName, tuple[float | None, str]] = {}
     for manifest in manifests:
         if "scores" in manifest.tables:
             table = store.read(manifest.ref, "scores", columns=[*ScoreName._fields, "value", "unit"])
             columns = [[_plain(value) for value in table[name]] for name in ScoreName._fields]
             for *name, value, unit in zip(*columns, table["value"], table["unit"], strict=True):
-                found[ScoreName(*name)] = (_plain(value), unit)
-    return found
+                figures[ScoreName(*name)] = (_plain(value), unit)
+    return figures
 
 
 def _plain(value: Any) -> Any:
@@ -85,17 +85,17 @@ class Changes:
     num_scores: int
 
 
-def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
+def differences(store: Store, first: Recorded, other: Recorded) -> Changes:
     """Put two runs or versions side by side; raises what reading their scores raises."""
     counts: dict[str, dict[str, int]] = {}
-    for place in {**one.artifacts, **other.artifacts}:
-        mine, theirs = one.artifacts.get(place), other.artifacts.get(place)
+    for place in {**first.artifacts, **other.artifacts}:
+        mine, theirs = first.artifacts.get(place), other.artifacts.get(place)
         if mine is None or theirs is None:
             which = "only_b" if mine is None else "only_a"
         else:
             which = "same" if mine.ref.content_digest == theirs.ref.content_digest else "other"
         counts.setdefault(place[0], dict.fromkeys(("same", "other", "only_a", "only_b"), 0))[which] += 1
-    before, after = (_figures_of(store, recorded.artifacts.values()) for recorded in (one, other))
+    before, after = (_figures_of(store, recorded.artifacts.values()) for recorded in (first, other))
     names = {**before, **after}
     scores = [
         ScoreChange(name, names[name][1], a, b)
@@ -105,10 +105,10 @@ def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
     ]
     return Changes(
         pairs={
-            "parameters": changed_leaves(one.sections, other.sections),
-            "environment": environment_changes(one.environment, other.environment),
-            "files": changed_leaves(one.sources, other.sources),
-            "licences": changed_leaves(one.licences, other.licences),
+            "parameters": changed_leaves(first.sections, other.sections),
+            "environment": environment_changes(first.environment, other.environment),
+            "files": changed_leaves(first.sources, other.sources),
+            "licences": changed_leaves(first.licences, other.licences),
         },
         artifacts=counts,
         scores=sorted(scores, key=lambda score: -_size(score)),
@@ -163,7 +163,7 @@ class Comparison:
 
 
 def compare(
-    one_store: Store, one: Mapping[Place, Manifest], other_store: Store, other: Mapping[Place, Manifest]
+    one_store: Store, first: Mapping[Place, Manifest], other_store: Store, other: Mapping[Place, Manifest]
 ) -> Comparison:
     """Compare two builds artifact by artifact; of those with the same digest nothing is read.
 
@@ -173,8 +173,8 @@ def compare(
     Raises:
         CorruptArtifact, SchemaError: A table cannot be read.
     """
-    both = [place for place in one if place in other]
-    compared = {place: compare_artifacts(one_store, one[place], other_store, other[place]) for place in both}
+    both = [place for place in first if place in other]
+    compared = {place: compare_artifacts(one_store, first[place], other_store, other[place]) for place in both}
     differing = {place: found for place, found in compared.items() if found}
     beyond, is_rounded = None, False
     for place, found in differing.items():
@@ -185,7 +185,7 @@ def compare(
         ):
             beyond = place
             break
-    return Comparison(len(compared) - len(differing), tuple(sorted(one.keys() ^ other.keys())), differing, beyond)
+    return Comparison(len(compared) - len(differing), tuple(sorted(first.keys() ^ other.keys())), differing, beyond)
 
 
 def _size(score: ScoreChange) -> float:

@@ -42,17 +42,17 @@ class StageOutcome:
     missing: str = ""
 
     @classmethod
-    def of(cls, plan: StagePlan, found: Sequence[Manifest], seconds: float) -> StageOutcome:
+    def of(cls, plan: StagePlan, manifests: Sequence[Manifest], seconds: float) -> StageOutcome:
         """Return the outcome of a stage, for its plan and the artifacts that it led to."""
         return cls(
             name=plan.stage.name,
             num_shards=len(plan.shards),
             num_computed=len(plan.todo),
             seconds=seconds,
-            artifacts=tuple(manifest.ref for manifest in found),
-            verdict=stage_verdict(found),
+            artifacts=tuple(manifest.ref for manifest in manifests),
+            verdict=stage_verdict(manifests),
             empty_reason=plan.empty_reason,
-            missing=what_is_missing(plan, found),
+            missing=what_is_missing(plan, manifests),
         )
 
     def to_json(self) -> dict[str, Any]:

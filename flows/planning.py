@@ -181,10 +181,10 @@ class StagePlan:
 
     def partitions(self) -> dict[str, list[ShardPlan]]:
         """Return the shards by partition, both in the order of the plan."""
-        found: dict[str, list[ShardPlan]] = {}
+        by_partition: dict[str, list[ShardPlan]] = {}
         for item in self.shards:
-            found.setdefault(item.shard.partition, []).append(item)
-        return found
+            by_partition.setdefault(item.shard.partition, []).append(item)
+        return by_partition
 
 
 @dataclass(frozen=True)
@@ -285,22 +285,22 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: StageSelectio
     return Plan(study=study.name, stages=tuple(plans.values()))
 
 
-def what_is_missing(plan: StagePlan, found: Sequence[Manifest]) -> str:
+def what_is_missing(plan: StagePlan, manifests: Sequence[Manifest]) -> str:
     """Return what a stage needs that was requested and made nothing; empty where it made something.
 
     Args:
         plan: The stage as it was planned.
-        found: What came of its shards.
+        manifests: What came of its shards.
     """
     if (
         plan.is_pending
         or not plan.is_selected
-        or any(part.rows for manifest in found for part in manifest.tables.values())
+        or any(part.rows for manifest in manifests for part in manifest.tables.values())
     ):
         return ""
-    if (plan.shards and len(found) < len(plan.shards)) or not plan.is_asked:
+    if (plan.shards and len(manifests) < len(plan.shards)) or not plan.is_asked:
         return ""
-    verdict = stage_verdict(found)
+    verdict = stage_verdict(manifests)
     reason = f"{verdict.reason}; " if verdict is not None and verdict.reason else ""
     return f"nothing was made by {plan.stage.name}: {reason}it needs {plan.stage.needs}"
 

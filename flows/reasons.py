@@ -133,10 +133,10 @@ def _label(place: InputRecord) -> str:
 
 def _leaves(prefix: str, value: Any) -> dict[str, Any]:
     if isinstance(value, dict) and value:
-        found: dict[str, Any] = {}
+        leaves: dict[str, Any] = {}
         for name, item in value.items():
-            found.update(_leaves(f"{prefix}.{name}" if prefix else name, item))
-        return found
+            leaves.update(_leaves(f"{prefix}.{name}" if prefix else name, item))
+        return leaves
     return {prefix: value}
 
 

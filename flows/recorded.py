@@ -49,12 +49,12 @@ class Recorded:
     @property
     def licences(self) -> dict[str, str]:
         """Return licence and credit of every source by its name."""
-        found: dict[str, str] = {}
+        licences: dict[str, str] = {}
         for credit in self.credits:
-            found[credit.name] = " / ".join(
-                filter(None, (found.get(credit.name), f"{credit.licence}; {credit.credit}"))
+            licences[credit.name] = " / ".join(
+                filter(None, (licences.get(credit.name), f"{credit.licence}; {credit.credit}"))
             )
-        return found
+        return licences
 
     @property
     def sources(self) -> dict[str, str]:
@@ -116,14 +116,14 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
         ref: (ref.stage, manifest.partition, manifest.name) for ref, manifest in manifests.items()
     }
     reads = {ref: manifests[ref].inputs for ref in sorted(manifests, key=places.__getitem__)}
-    found: dict[Place, Manifest] = {}
+    artifacts: dict[Place, Manifest] = {}
     for ref in TopologicalSorter(reads).static_order():
         place = places[ref]
-        if found.setdefault(place, manifests[ref]) is not manifests[ref]:
+        if artifacts.setdefault(place, manifests[ref]) is not manifests[ref]:
             raise PlanError(
                 f"{' '.join(place)} is there twice, with other content: these are artifacts of several runs"
             )
-    return found
+    return artifacts
 
 
 def read_environment(store: Store, run_id: str) -> dict[str, Any]:
@@ -155,8 +155,8 @@ def portable_files(folder: Path) -> dict[str, bytes]:
         lengths = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
         tails[path] = parts[-next(lengths, len(parts)) :]
 
-    def shortened(found: re.Match[str]) -> str:
-        return '"' + "/".join(tails.get(found[1], PurePosixPath(found[1]).parts[-1:]))
+    def shortened(match: re.Match[str]) -> str:
+        return '"' + "/".join(tails.get(match[1], PurePosixPath(match[1]).parts[-1:]))
 
     return {name: _PATH.sub(shortened, text).encode() for name, text in sorted(texts.items())}
 

@@ -68,9 +68,9 @@ def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ())
     known = {manifest.ref.key: manifest for manifest in seen}
 
     def look(stage: str, record: ShardRecord) -> Manifest | None:
-        one = known.get(record.key)
-        if one is not None and one.ref.content_digest == record.content_digest:
-            return one
+        manifest = known.get(record.key)
+        if manifest is not None and manifest.ref.content_digest == record.content_digest:
+            return manifest
         return store.find(stage, record.key)
 
     return {

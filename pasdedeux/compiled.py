@@ -72,10 +72,10 @@ class _Kernel:
         if self._begun is None:
             self._begun = _compiled_once(self._function, self._options)
             used, names = self._function.__globals__, self._function.__code__.co_names
-            modules = [found.__dict__ for name in names if isinstance(found := used.get(name), ModuleType)]
+            modules = [used_value.__dict__ for name in names if isinstance(used_value := used.get(name), ModuleType)]
             try:
                 for place in (used, *modules):
-                    kernels = {name: found for name in names if isinstance(found := place.get(name), _Kernel)}
+                    kernels = {name: used_value for name in names if isinstance(used_value := place.get(name), _Kernel)}
                     place.update({name: kernel._make() for name, kernel in kernels.items()})
             except BaseException:  # Ctrl-C between two: the next call begins anew
                 self._begun = None

@@ -80,7 +80,7 @@ def figure(meaning: str = "", limits: tuple[float, float] | None = None, **more:
 
 def figures_of(owner: type, like: Mapping[str, Figure] = MappingProxyType({})) -> dict[str, Figure]:
     """Return the figures of a dataclass by name, in its order; what is not given is as in those of `like`."""
-    found = {}
+    figures = {}
     for one in fields(owner):
         if one.metadata or one.name in like:
             ending = next((ending for ending in _UNITS if one.name.endswith(ending)), "")
@@ -90,8 +90,8 @@ def figures_of(owner: type, like: Mapping[str, Figure] = MappingProxyType({})) -
             better = "smaller" if warn < fail else "larger" if fail < warn else ""
             plain = Figure(one.name, _UNITS.get(ending, ""), "", better, words=words, kind=kind)
             known = like.get(one.name, plain)
-            found[one.name] = replace(known, is_nullable="None" in str(one.type), **one.metadata)
-    return found
+            figures[one.name] = replace(known, is_nullable="None" in str(one.type), **one.metadata)
+    return figures
 
 
 def limits_of(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float]]:

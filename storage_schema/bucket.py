@@ -135,8 +135,8 @@ class RemoteStore:
         """Return a file and the tag of this content of it; FileNotFoundError where there is none."""
 
         def ask() -> tuple[bytes, str]:
-            found = self._store.get(path)
-            return bytes(found.bytes()), str(found.meta["e_tag"])
+            answer = self._store.get(path)
+            return bytes(answer.bytes()), str(answer.meta["e_tag"])
 
         return self._asked(f"read {path}", ask)
 
@@ -195,12 +195,12 @@ class RemoteStore:
         def ask() -> bytes | None:
             nonlocal tag, stream
             if stream is None:
-                found = self._store.get(path, options={"range": {"offset": num_bytes}} if num_bytes else None)
-                if limit is not None and found.meta["size"] > limit:
+                answer = self._store.get(path, options={"range": {"offset": num_bytes}} if num_bytes else None)
+                if limit is not None and answer.meta["size"] > limit:
                     raise CorruptArtifact(f"{self.url}/{path} is larger than {limit / 1e6:.0f} MB")
-                if num_bytes and found.meta["e_tag"] != tag:
+                if num_bytes and answer.meta["e_tag"] != tag:
                     raise RemoteError(f"{self.url}: cannot read {path}: it was replaced meanwhile; try again")
-                tag, stream = found.meta["e_tag"], map(bytes, found.stream(min_chunk_size=_PIECE_BYTES))
+                tag, stream = answer.meta["e_tag"], map(bytes, answer.stream(min_chunk_size=_PIECE_BYTES))
             try:
                 return next(stream, None)
             except BaseError:

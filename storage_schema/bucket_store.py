@@ -295,14 +295,14 @@ class BucketStore(Store):
     def _refresh(self) -> None:
         began = time.time()
         manifests = {
-            self.folder(found[1], found[2]) / MANIFEST_NAME: entry
+            self.folder(place[1], place[2]) / MANIFEST_NAME: entry
             for entry in self.remote.entries("manifests")
-            if (found := MANIFEST_PLACE.fullmatch(entry["path"])) and found[1] not in RESERVED_NAMES
+            if (place := MANIFEST_PLACE.fullmatch(entry["path"])) and place[1] not in RESERVED_NAMES
         }
         records = {
-            self.root / found[1]: entry
+            self.root / place[1]: entry
             for entry in self.remote.entries("records")
-            if (found := RECORD_PLACE.fullmatch(entry["path"]))
+            if (place := RECORD_PLACE.fullmatch(entry["path"]))
         }
         wanted = {**manifests, **records}
         new = [one for one in wanted.items() if not _is_same(*one)]

@@ -80,29 +80,29 @@ class Difference:
         return f"{self.table}.{self.column}, row {self.row}: {self.detail}{size}"
 
 
-def compare_artifacts(one_store: Store, one: Manifest, other_store: Store, other: Manifest) -> list[Difference]:
+def compare_artifacts(one_store: Store, first: Manifest, other_store: Store, other: Manifest) -> list[Difference]:
     """Return the columns and files that two artifacts differ by, tables first; none where they hold the same bytes.
 
     Raises:
         CorruptArtifact, SchemaError: A table cannot be read.
     """
-    if one.ref.content_digest == other.ref.content_digest:
+    if first.ref.content_digest == other.ref.content_digest:
         return []
-    found = [
+    differences = [
         difference
-        for name in one.tables
-        if name in other.tables and one.tables[name].sha256 != other.tables[name].sha256
-        for difference in _of_table(one_store, one, other_store, other, name)
+        for name in first.tables
+        if name in other.tables and first.tables[name].sha256 != other.tables[name].sha256
+        for difference in _of_table(one_store, first, other_store, other, name)
     ]
-    files, other_files = one.data_files, other.data_files
-    found += [
+    files, other_files = first.data_files, other.data_files
+    differences += [
         Difference(name.removesuffix(".parquet"), detail="is only in one", is_missing=True)
         for name in sorted(files.keys() ^ other_files.keys())
     ]
-    return found + [
+    return differences + [
         Difference(name)
-        for name in one.attachments
-        if name in other.attachments and one.attachments[name].sha256 != other.attachments[name].sha256
+        for name in first.attachments
+        if name in other.attachments and first.attachments[name].sha256 != other.attachments[name].sha256
     ]
 
 
@@ -112,62 +112,64 @@ def tolerances_text() -> str:
     return f"{units} by the unit of the column,\nand {RELATIVE_TOLERANCE:g} of the number itself"
 
 
-def _of_table(one_store: Store, one: Manifest, other_store: Store, other: Manifest, name: str) -> Iterator[Difference]:
-    rows, other_rows = one.tables[name].rows, other.tables[name].rows
+def _of_table(
+    one_store: Store, mine_of: Manifest, other_store: Store, other: Manifest, name: str
+) -> Iterator[Difference]:
+    rows, other_rows = mine_of.tables[name].rows, other.tables[name].rows
     if rows != other_rows:
         yield Difference(name, detail=f"{rows} rows, {other_rows} there")
         return
     worst: dict[str, Difference] = {}
     start = 0
-    batches = zip(one_store.iter_batches(one.ref, name), other_store.iter_batches(other.ref, name), strict=True)
+    batches = zip(one_store.iter_batches(mine_of.ref, name), other_store.iter_batches(other.ref, name), strict=True)
     for mine, theirs in batches:
         for column in TABLES[name].columns:
-            found = _of_column(name, column, mine, theirs, start)
+            difference = _of_column(name, column, mine, theirs, start)
             before = worst.get(column.name)
-            if found is not None and (before is None or found.excess > before.excess):
-                worst[column.name] = found
+            if difference is not None and (before is None or difference.excess > before.excess):
+                worst[column.name] = difference
         start += len(mine)
     yield from worst.values() if worst else [Difference(name, detail="the same values in other bytes", largest=0.0)]
 
 
 def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, start: int) -> Difference | None:
-    one, other = mine[column.name], theirs[column.name]
+    first, other = mine[column.name], theirs[column.name]
     if column_kind(column) is Kind.VARYING:
-        lengths = [len(values) for values in one]
+        lengths = [len(values) for values in first]
         if lengths != [len(values) for values in other]:
             row = next(i for i, values in enumerate(other) if len(values) != lengths[i])
             detail = f"{lengths[row]} values, {len(other[row])} there"
             return Difference(name, column.name, start + row, detail)
-        rows = np.repeat(np.arange(len(one)), lengths)
-        one, other = (np.concatenate([*values, []]) for values in (one, other))
+        rows = np.repeat(np.arange(len(first)), lengths)
+        first, other = (np.concatenate([*values, []]) for values in (first, other))
     else:
         rows = np.arange(len(mine))
     if column_kind(column) in (Kind.TEXT, Kind.TEXT_LIST):
         differing = [
             _of_text(name, column, start + index, str(a), str(b))
-            for index, (a, b) in enumerate(zip(one, other, strict=True))
+            for index, (a, b) in enumerate(zip(first, other, strict=True))
             if a != b
         ]
         return max(differing, key=lambda difference: difference.excess, default=None)
-    one, other = (np.asarray(values, np.float64) for values in (one, other))
+    first, other = (np.asarray(values, np.float64) for values in (first, other))
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
+        apart = np.where((first == other) | (np.isnan(first) & np.isnan(other)), 0.0, np.abs(first - other))
     apart = np.where(np.isnan(apart), np.inf, apart)
     if not apart.any():
         return None
     allowed = np.zeros_like(apart)
     if pa.types.is_floating(value_type(column)):
-        allowed += TOLERANCES[column.unit] + RELATIVE_TOLERANCE * np.nan_to_num(np.abs(one))
+        allowed += TOLERANCES[column.unit] + RELATIVE_TOLERANCE * np.nan_to_num(np.abs(first))
     with np.errstate(over="ignore"):
         at = np.unravel_index(np.argmax(apart / np.maximum(allowed, _TINY)), apart.shape)
-    detail = f"{one[at]:.9g}, {other[at]:.9g} there, {apart[at]:.2g} {column.unit}".rstrip() + " apart"
+    detail = f"{first[at]:.9g}, {other[at]:.9g} there, {apart[at]:.2g} {column.unit}".rstrip() + " apart"
     return Difference(name, column.name, start + int(rows[at[0]]), detail, float(apart[at]), float(allowed[at]))
 
 
-def _of_text(name: str, column: Column, row: int, one: str, other: str) -> Difference:
+def _of_text(name: str, column: Column, row: int, first: str, other: str) -> Difference:
     """Compare two texts: keys of artifacts follow from what was read, and numbers with a point are numbers."""
-    detail = f"{one!r:.60}, {other!r:.60} there"
-    bare = [_KEY.sub("@", text) for text in (one, other)]
+    detail = f"{first!r:.60}, {other!r:.60} there"
+    bare = [_KEY.sub("@", text) for text in (first, other)]
     if _NUMBER.sub("", bare[0]) != _NUMBER.sub("", bare[1]):
         return Difference(name, column.name, row, detail)
     mine, theirs = (np.array(_NUMBER.findall(text), np.float64) for text in bare)

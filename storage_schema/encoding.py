@@ -68,8 +68,8 @@ def _encode_column(column: Column, columns: Mapping[str, Any], stored: pa.DataTy
             raise _MisfitError("is missing")
         return pa.nulls(_num_rows(columns[first]), column.type)
     values = columns[column.name]
-    if (found := _num_rows(values)) != (wanted := _num_rows(columns[first])):
-        raise _MisfitError(f"has {found} rows but column '{first}' has {wanted}")
+    if (num_rows := _num_rows(values)) != (wanted := _num_rows(columns[first])):
+        raise _MisfitError(f"has {num_rows} rows but column '{first}' has {wanted}")
     encoders = {Kind.FIXED: _fixed, Kind.VARYING: _varying, Kind.TEXT: _texts, Kind.TEXT_LIST: _texts}
     return encoders.get(column_kind(column), _numbers)(column, values, stored)
 
@@ -89,12 +89,12 @@ class _MisfitError(Exception):
 
 def _fixed(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     axes = ", ".join(f"{name} {size}" for name, size in zip(column.axes, column.shape, strict=True))
-    found = _array(values)
-    if len(found) == 0:
-        found = np.empty((0, *column.shape))
-    if found.shape[1:] != column.shape:
-        raise _MisfitError(f"has rows of shape {found.shape[1:]}; each row has the shape {column.shape} ({axes})")
-    flat = _as_type(found.reshape(-1), value_type(column))
+    array = _array(values)
+    if len(array) == 0:
+        array = np.empty((0, *column.shape))
+    if array.shape[1:] != column.shape:
+        raise _MisfitError(f"has rows of shape {array.shape[1:]}; each row has the shape {column.shape} ({axes})")
+    flat = _as_type(array.reshape(-1), value_type(column))
     return pa.FixedSizeListArray.from_arrays(pa.array(flat), type=stored)
 
 
@@ -132,19 +132,19 @@ def _numbers(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     if column.is_nullable:
         # The inverse of reading: a null number reads as NaN, so NaN and None are null here.
         listed = [np.nan if value is None else value for value in values]
-        found = _array(listed)
-        if found.ndim == 1 and found.dtype.kind == "f":
-            nulls = np.isnan(found)
-            found = np.where(nulls, 0, found)
-            if pa.types.is_integer(stored) and np.all((found == np.rint(found)) & (np.abs(found) < _EXACT_BELOW)):
-                found = found.astype(np.int64)
+        numbers = _array(listed)
+        if numbers.ndim == 1 and numbers.dtype.kind == "f":
+            nulls = np.isnan(numbers)
+            numbers = np.where(nulls, 0, numbers)
+            if pa.types.is_integer(stored) and np.all((numbers == np.rint(numbers)) & (np.abs(numbers) < _EXACT_BELOW)):
+                numbers = numbers.astype(np.int64)
     else:
-        found = _array(values)
-    if found.ndim != 1:
-        raise _MisfitError(f"has rows of shape {found.shape[1:]}; a single value a row is needed")
-    if len(found) == 0:
+        numbers = _array(values)
+    if numbers.ndim != 1:
+        raise _MisfitError(f"has rows of shape {numbers.shape[1:]}; a single value a row is needed")
+    if len(numbers) == 0:
         return pa.array([], stored)
-    return pa.array(_as_type(found, stored), stored, mask=nulls)
+    return pa.array(_as_type(numbers, stored), stored, mask=nulls)
 
 
 def _array(values: Any) -> np.ndarray:
@@ -154,23 +154,23 @@ def _array(values: Any) -> np.ndarray:
         raise _MisfitError("has rows of different shapes") from None
 
 
-def _as_type(found: np.ndarray, wanted: pa.DataType) -> np.ndarray:
+def _as_type(array: np.ndarray, wanted: pa.DataType) -> np.ndarray:
     """Narrow numbers to the stored type, refusing what would change a whole number or invent a truth value."""
     target = np.dtype(wanted.to_pandas_dtype())
-    if len(found) == 0:
+    if len(array) == 0:
         return np.empty(0, target)
     allowed = {"f": "fiu", "i": "iu", "b": "b"}[target.kind]
-    if found.dtype.kind not in allowed:
+    if array.dtype.kind not in allowed:
         fitting = {"f": int | float, "i": int, "b": bool}[target.kind]
-        values = found.tolist()
+        values = array.tolist()
         example = next((value for value in values if not isinstance(value, fitting)), values[0])
         needed = {"f": "numbers are", "i": "whole numbers are", "b": "true or false is"}[target.kind]
-        raise _MisfitError(f"has values of type {found.dtype} such as {example!r}; {needed} needed")
+        raise _MisfitError(f"has values of type {array.dtype} such as {example!r}; {needed} needed")
     if target.kind == "i":
         limits = np.iinfo(target)
-        if int(found.min()) < limits.min or int(found.max()) > limits.max:
+        if int(array.min()) < limits.min or int(array.max()) > limits.max:
             raise _MisfitError(
-                f"has values from {found.min()} to {found.max()}; {target} holds {limits.min} to {limits.max}"
+                f"has values from {array.min()} to {array.max()}; {target} holds {limits.min} to {limits.max}"
             )
     with np.errstate(over="ignore"):
-        return np.ascontiguousarray(found, dtype=target)
+        return np.ascontiguousarray(array, dtype=target)

@@ -128,8 +128,8 @@ class FolderStore(Store):
                 sync_folder(target.parent)
                 return ref
             # Something is there: it goes only after it was seen not to stay, never for not having been there yet.
-            if (found := kept()) is not None:
-                return found
+            if (taken := kept()) is not None:
+                return taken
             go_there = staging.take_place
 
     def add_dataset(self, staged: Path, label: str) -> bool:
@@ -165,6 +165,6 @@ class FolderStore(Store):
     def _there(self, ref: ArtifactRef) -> Manifest | None:
         """Return the manifest under a key, also one of other columns, where its files are there; else None."""
         with suppress(MissingArtifact, CorruptArtifact):
-            found = self.load(ref.stage, ref.key)
-            return found if self.has_files(found) else None
+            manifest = self.load(ref.stage, ref.key)
+            return manifest if self.has_files(manifest) else None
         return None

@@ -128,16 +128,16 @@ def each_beat(do: Callable[[], object], ended: threading.Event) -> None:
 
 def _parsed(lease: bytes) -> dict[str, Any]:
     """Return the content of a lease; an unreadable one counts as held, and expires if it does not change."""
-    found = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
+    parsed = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
     with suppress(ValueError, TypeError):
-        found |= json.loads(lease)
+        parsed |= json.loads(lease)
     # Whoever may write in the bucket wrote them, and they are printed.
-    return found | {name: json.dumps(str(found[name]))[1:-1] for name in ("host", "pid")}
+    return parsed | {name: json.dumps(str(parsed[name]))[1:-1] for name in ("host", "pid")}
 
 
-def _is_dead_here(found: dict[str, Any]) -> bool:
+def _is_dead_here(parsed: dict[str, Any]) -> bool:
     """Tell whether a lease's process was one of this system and has ended."""
-    return found["system"] == _system() != "" and not Path(f"/proc/{found['pid']}").exists()
+    return parsed["system"] == _system() != "" and not Path(f"/proc/{parsed['pid']}").exists()
 
 
 @cache

@@ -34,16 +34,16 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     while waiting:
         ref = waiting.pop()
         # What has the same content in these runs may have come from elsewhere than what was there before.
-        found = _there(store, ref, mine)
-        found = [manifest for manifest in found if manifest.ref.place in named] or found
-        every: Sequence[Manifest | None] = found or [find_manifest(store, ref)]
+        sources = _there(store, ref, mine)
+        sources = [manifest for manifest in sources if manifest.ref.place in named] or sources
+        every: Sequence[Manifest | None] = sources or [find_manifest(store, ref)]
         for manifest in every:
             if manifest is None:
                 raise MissingArtifact(
                     f"artifact {ref.stage}@{ref.key[:12]}, which this comes from, is no longer whole in the store "
                     f"{store}, so its licence is not known; run the study again"
                 )
-            if found or not manifest.sources:
+            if sources or not manifest.sources:
                 stated.append(manifest.sources)
             else:
                 others = _there(store, ref, runs)

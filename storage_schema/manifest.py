@@ -207,20 +207,20 @@ def _own_digest(values: dict[str, Any]) -> str:
     return hashlib.sha256(canonical_json(said, "manifest")).hexdigest()
 
 
-def refuse_newer(found: int, where: str) -> None:
-    """Raise NewerSchema when `found` is above the version this program knows."""
-    if found > SCHEMA_VERSION:
+def refuse_newer(version: int, where: str) -> None:
+    """Raise NewerSchema when `version` is above the version this program knows."""
+    if version > SCHEMA_VERSION:
         raise NewerSchema(
-            f"{where} was written by a newer program (schema version {found}, this one knows up to {SCHEMA_VERSION}); "
-            "update pasdedeux or use another store"
+            f"{where} was written by a newer program (schema version {version}, this one knows up to {SCHEMA_VERSION}"
+            "); update pasdedeux or use another store"
         )
 
 
-def refuse_older(found: int, where: str, release: str) -> None:
-    """Raise OlderSchema when `found`, written by this release of the program, is below the version it writes now."""
-    if found < SCHEMA_VERSION:
+def refuse_older(version: int, where: str, release: str) -> None:
+    """Raise OlderSchema when `version`, written by this release of the program, is below the version it writes now."""
+    if version < SCHEMA_VERSION:
         raise OlderSchema(
-            f"{where} was written under schema version {found}, this program reads {SCHEMA_VERSION}; pasdedeux "
+            f"{where} was written under schema version {version}, this program reads {SCHEMA_VERSION}; pasdedeux "
             f"{release or 'of that time'} reads it, and a run of its study with this one computes it anew beside it"
         )
 
@@ -233,9 +233,9 @@ def with_fields(kind: type[_T], values: dict[str, Any]) -> _T:
     names = vars(kind)["__dataclass_fields__"].keys()
     if values.keys() != names:
         raise KeyError(", ".join(sorted(values.keys() ^ names)))
-    one = object.__new__(kind)
-    vars(one).update(values)
-    return one
+    made = object.__new__(kind)
+    vars(made).update(values)
+    return made
 
 
 def _shared_ref(values: dict[str, Any]) -> ArtifactRef:

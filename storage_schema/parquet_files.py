@@ -129,13 +129,15 @@ def iter_table(
 
 def groups_with(file: pq.ParquetFile, only: Mapping[str, str]) -> list[int]:
     """Return the row groups that, by the file's statistics, hold only these texts in columns."""
-    found = []
+    groups = []
     for group in range(file.num_row_groups):
         row_group = file.metadata.row_group(group)
-        own = {chunk.path_in_schema: chunk.statistics for chunk in map(row_group.column, range(row_group.num_columns))}
-        if all(own[name] and own[name].min == own[name].max == text for name, text in only.items()):
-            found.append(group)
-    return found
+        stats = {
+            chunk.path_in_schema: chunk.statistics for chunk in map(row_group.column, range(row_group.num_columns))
+        }
+        if all(stats[name] and stats[name].min == stats[name].max == text for name, text in only.items()):
+            groups.append(group)
+    return groups
 
 
 def _options(table: Table) -> dict[str, Any]:

@@ -175,13 +175,13 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store, *, is_
 
 def check_ids(manifest: Manifest, folder: Path, where: str) -> None:
     """Refuse ids that are no plain names: files that are written of these rows are called after them."""
-    found = [(name, value) for name, value in manifest.facts.items() if name.endswith("_id")]
+    identifiers = [(name, value) for name, value in manifest.facts.items() if name.endswith("_id")]
     for table in manifest.tables:
         columns = TABLES[table].id_columns if table in TABLES else ()
         with suppress(SchemaError):  # columns of another version, which nothing here reads
             for rows in iter_table(folder / f"{table}.parquet", TABLES[table], columns=columns) if columns else ():
-                found += [(name, value) for name in columns for value in set(rows[name].tolist())]
-    for name, value in found:
+                identifiers += [(name, value) for name in columns for value in set(rows[name].tolist())]
+    for name, value in identifiers:
         if isinstance(value, str) and not is_plain_name(value):
             raise CorruptArtifact(
                 f"{where} has the {name} {json.dumps(value)[:80]}, and only up to 200 letters, digits, '.', '_' and "

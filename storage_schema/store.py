@@ -406,7 +406,7 @@ class Store:
         """Remove half-written files of dead processes; those of a dying process are left for the next time."""
         clean_leftovers(self.staging_root)
 
-    def stays(self, found: Manifest, new: Manifest, *, replaces: bool, are_files_new: bool = False) -> bool:
+    def stays(self, present: Manifest, new: Manifest, *, replaces: bool, are_files_new: bool = False) -> bool:
         """Tell whether an artifact that is there keeps its place against a new one under its key.
 
         `are_files_new` where its files, if they are the same, have just been written again.
@@ -414,20 +414,20 @@ class Store:
         Raises:
             NamedByDataset: It does not, and a dataset needs it.
         """
-        ref, is_valid = new.ref, not self.outdated_tables(found)
-        if found.ref.content_digest == ref.content_digest:
+        ref, is_valid = new.ref, not self.outdated_tables(present)
+        if present.ref.content_digest == ref.content_digest:
             if not replaces or not is_valid:
                 return is_valid
-            has_same_keys = [one.key for one in found.inputs] == [one.key for one in new.inputs]
-            is_as_described = found.computed_digest == ref.content_digest
-            return has_same_keys and is_as_described and (are_files_new or not self.damaged_files(found))
+            has_same_keys = [one.key for one in present.inputs] == [one.key for one in new.inputs]
+            is_as_described = present.computed_digest == ref.content_digest
+            return has_same_keys and is_as_described and (are_files_new or not self.damaged_files(present))
         if is_valid and not replaces:
             _log.warning(
                 "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",
-                *(ref.stage, ref.key[:12], ref.content_digest[:12], found.ref.content_digest[:12]),
+                *(ref.stage, ref.key[:12], ref.content_digest[:12], present.ref.content_digest[:12]),
             )
             return True
-        if (dataset := next(datasets_with(self, found.ref), None)) is not None:
+        if (dataset := next(datasets_with(self, present.ref), None)) is not None:
             raise NamedByDataset(
                 f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {dataset.label} "
                 "needs the old one, which stays; raise the version of the stage in its `Stage(...)` to have both"

@@ -87,8 +87,8 @@ class TableData:
         """
         if not -self.num_rows <= index < self.num_rows:
             raise IndexError(f"table '{self.table.name}' has {self.num_rows} rows, none is number {index}")
-        one = self.slice(index % self.num_rows, index % self.num_rows + 1)
-        return {name: one[name][0] for name in one}
+        single = self.slice(index % self.num_rows, index % self.num_rows + 1)
+        return {name: single[name][0] for name in single}
 
 
 def concatenate(table: Table, parts: Iterable[TableData]) -> TableData:

@@ -89,8 +89,8 @@ def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifes
 
 def with_views(annotated: Sequence[Manifest], inputs: StageInputs) -> dict[str, list[Manifest]]:
     """Return as `annotations` those of these that views were estimated from, and the `views` of each."""
-    views = [(manifest, found[0]) for manifest in annotated if (found := views_of([manifest], inputs))]
-    return {"annotations": [manifest for manifest, _ in views], "views": [found for _, found in views]}
+    views = [(manifest, found_views[0]) for manifest in annotated if (found_views := views_of([manifest], inputs))]
+    return {"annotations": [manifest for manifest, _ in views], "views": [found_views for _, found_views in views]}
 
 
 def place_of(table: TableData, row: int) -> PairPlace:
@@ -169,7 +169,7 @@ def read_seen_pairs(
     likeliest: dict[PairPlace, list[int]] = {}
     for row in np.lexsort((hypothesis, -weight)).tolist():
         likeliest.setdefault(place_of(table, row), []).append(row)
-    found: dict[PairPlace, SeenPair] = {}
+    pairs: dict[PairPlace, SeenPair] = {}
     for place in sorted(people):
         rows = likeliest.get(place, [])[:num_hypotheses]
         if len(people[place]) < 2 or not rows:
@@ -177,10 +177,10 @@ def read_seen_pairs(
         pair_px = (instead or {}).get(place[:2], pair_of(people[place]))
         image = pair_in_metres(pair_px, np.asarray(scale[rows[0]], dtype=np.float64))
         directions = np.asarray(direction, dtype=np.float64)[rows]
-        one = SeenPair(place, image, directions, hypothesis[rows], place not in learned)
-        if one.num_seen >= MIN_SEEN:
-            found[place] = one
-    return found, len(people) - len(found)
+        seen_pair = SeenPair(place, image, directions, hypothesis[rows], place not in learned)
+        if seen_pair.num_seen >= MIN_SEEN:
+            pairs[place] = seen_pair
+    return pairs, len(people) - len(pairs)
 
 
 def read_all_seen(store: Store, shard: Shard, *, num_hypotheses: int) -> list[dict[PairPlace, SeenPair]]:

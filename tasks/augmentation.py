@@ -102,18 +102,18 @@ def variations(parameters: AugmentationParameters, num_people: int) -> dict[str,
     Raises:
         InputError: Two of them make one variant: by its name nobody could tell how it was solved.
     """
-    found: dict[str, list[Variation]] = {}
+    by_take: dict[str, list[Variation]] = {}
     by_id: dict[str, str] = {}
     for name, own in {"": parameters, **parameters.swept()}.items():
-        found[name] = make_variations(own, num_people)
-        for variation in found[name]:
+        by_take[name] = make_variations(own, num_people)
+        for variation in by_take[name]:
             if (other := by_id.setdefault(variation.variant_id, name)) != name:
                 raise InputError(
                     f"augmentation.sweep.{name} makes {variation.variant_id}, which "
                     f"{f'augmentation.sweep.{other}' if other else 'augmentation itself'} makes too; a sweep changes "
                     "kinds, persons, groups or scales"
                 )
-    return found
+    return by_take
 
 
 def check_study(sections: Mapping[str, Any]) -> None:

@@ -99,20 +99,20 @@ def files_below(paths: Iterable[Path]) -> list[Path]:
     Raises:
         InputError: A path does not exist, or nothing is there.
     """
-    found: dict[Path, None] = {}
+    files: dict[Path, None] = {}
     for path in paths:
         if path.is_dir():
             named = [one for one in sorted(path.rglob("*")) if one.suffix.lower() in SUFFIXES and one.is_file()]
             ranked = sorted(named, key=lambda one: SUFFIXES.index(one.suffix.lower()))
             first = {one.with_suffix(""): one for one in reversed(ranked)}
-            found |= dict.fromkeys(sorted(first.values()))
+            files |= dict.fromkeys(sorted(first.values()))
         elif path.exists():
-            found[path] = None
+            files[path] = None
         else:
             raise InputError(f"file {path} does not exist")
-    if not found:
+    if not files:
         raise InputError(f"there are no motion files ({', '.join(SUFFIXES)}) in {', '.join(map(str, paths))}")
-    return list(found)
+    return list(files)
 
 
 def count_people(path: Path) -> int | str:
@@ -143,7 +143,7 @@ def pair_up(
     groups: list[tuple[Any, ...]] = [(path,) * count for path, count in files.items() if count > 1]
     groups += [tuple(alone)] if len(alone) == 2 == len(files) else partners_of(alone)
     names = Counter(map(take_name, groups))
-    found = []
+    pairs = []
     for group in sorted(groups):
         name = take_name(group)
         name = name if names[name] == 1 else Path(group[0]).with_suffix("").as_posix()
@@ -152,8 +152,8 @@ def pair_up(
         persons = [{"metres_per_unit": unit} for unit in units]
         take = {"id": take_id, "files": [str(path.resolve()) for path in group], "rate_hz": rate_hz, "persons": persons}
         section = IngestParameters.model_validate({"takes": [take]})
-        found.append(MotionFiles(name, tuple(map(str, group)), section))
-    return found
+        pairs.append(MotionFiles(name, tuple(map(str, group)), section))
+    return pairs
 
 
 def clips_of(folder: Path) -> list[tuple[MotionFiles, MotionFiles | None]]:

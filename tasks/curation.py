@@ -113,7 +113,7 @@ def read_choices(path: Path) -> dict[str, Choice]:
     if not path.exists():
         return {}
     lines = read_text_file(path).splitlines()
-    found: dict[str, Choice] = {}
+    choices: dict[str, Choice] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.startswith("#"):
             continue
@@ -124,8 +124,8 @@ def read_choices(path: Path) -> dict[str, Choice]:
                 f"content of {_DIGITS} digits and a table of {', '.join(IDENTITY)}; found '{line[:60]}'"
             )
         choice = Choice(decision, table, name, content, reason)
-        found[choice.about] = choice
-    return found
+        choices[choice.about] = choice
+    return choices
 
 
 def write_choices(path: Path, choices: Iterable[Choice]) -> None:
@@ -183,8 +183,8 @@ def recorded_choices(folder: Path) -> dict[str, str]:
     """Return the choices that went with a dataset in this folder; none where its study is not with it."""
     path = folder / STUDY_FILE
     sections: dict[str, Any] = json.loads(path.read_bytes()) if path.is_file() else {}
-    found: dict[str, str] = sections.get(SECTION, {}).get("choices", {})
-    return found
+    choices: dict[str, str] = sections.get(SECTION, {}).get("choices", {})
+    return choices
 
 
 def rejections(settings: Mapping[str, str], table: str) -> dict[str, str]:
@@ -279,8 +279,8 @@ def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) ->
         names, positions = names_of(data), data[POSITIONS[data.table.name]]
         there = set(names.tolist())
         for name in (name for name in rejected if {name, clip_of(name)[0]} & there):
-            if (own := rows_of(data, name, names)).any():
-                parts.setdefault(name, []).append(positions[own])
+            if (is_rejected := rows_of(data, name, names)).any():
+                parts.setdefault(name, []).append(positions[is_rejected])
     return {name for name, values in parts.items() if content_of(np.concatenate(values)) == rejected[name]}
 
 
@@ -302,10 +302,10 @@ def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
     """Return which rows (n,) are of nothing with one of these names."""
     if not names:
         return np.arange(data.num_rows)
-    own = names_of(data)
-    is_out = np.isin(own, list(names))
+    row_names = names_of(data)
+    is_out = np.isin(row_names, list(names))
     for name in names if data.table.name in CLIPPED else ():
-        is_out |= rows_of(data, name, own)
+        is_out |= rows_of(data, name, row_names)
     return np.flatnonzero(~is_out)
 
 

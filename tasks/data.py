@@ -252,14 +252,14 @@ class Data:
         if not all_methods and table in PRODUCT_COLUMNS:
             wanted = product_rows(open_table(reference, self.store, columns=PRODUCT_COLUMNS[table]))
         wanted = wanted if count is None else wanted[evenly_spread(len(wanted), count)]
-        found, kept, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], [wanted[:0]], 0
+        pairs_m, kept, first = [np.zeros((0, 2, PAIR17.num_joints, 3))], [wanted[:0]], 0
         for batch in iter_rows(reference, self.store, columns=["pair17_m", *names]):
-            own = wanted[(wanted >= first) & (wanted < first + batch.num_rows)] - first
-            own = own[np.isin(own, rows_without(batch, left_out))]
-            kept.append(first + own)
-            found.append(np.asarray(batch["pair17_m"][own], dtype=np.float64))
+            in_batch = wanted[(wanted >= first) & (wanted < first + batch.num_rows)] - first
+            in_batch = in_batch[np.isin(in_batch, rows_without(batch, left_out))]
+            kept.append(first + in_batch)
+            pairs_m.append(np.asarray(batch["pair17_m"][in_batch], dtype=np.float64))
             first += batch.num_rows
-        return Pairs(reference, np.concatenate(found), np.concatenate(kept))
+        return Pairs(reference, np.concatenate(pairs_m), np.concatenate(kept))
 
     def pictures(self, reference: str) -> list[Picture]:
         """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""

@@ -108,7 +108,7 @@ class _Part(NamedTuple):
 
 def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[_Part]]:
     """Return the pairs of every artifact, by density in order."""
-    found: dict[str, list[_Part]] = {}
+    parts: dict[str, list[_Part]] = {}
     for ref in refs:
         manifest = store.manifest(ref)
         name, table = density_of(manifest), "draws" if "draws" in manifest.tables else "seeds"
@@ -116,8 +116,8 @@ def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[_Pa
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
             part = _Part(reference_to(table, ref), start, pairs, knows_annotations(manifest))
-            found.setdefault(name, []).append(part)
-    return dict(sorted(found.items()))
+            parts.setdefault(name, []).append(part)
+    return dict(sorted(parts.items()))
 
 
 def _join(name: str, parts: Sequence[_Part]) -> DrawSet:

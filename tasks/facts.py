@@ -300,6 +300,6 @@ def merge_takes(*manifests: Manifest) -> tuple[str, ...]:
     return tuple(sorted({take for manifest in manifests for take in Facts.of(manifest).takes}))
 
 
-def shares_takes(one: Manifest, other: Manifest) -> bool:
+def shares_takes(first: Manifest, other: Manifest) -> bool:
     """Tell whether two artifacts rest on a common take."""
-    return not set(Facts.of(one).takes).isdisjoint(Facts.of(other).takes)
+    return not set(Facts.of(first).takes).isdisjoint(Facts.of(other).takes)

@@ -120,25 +120,25 @@ class Graph:
 
 def load_graph() -> Graph:
     """Import every stage of this package (a module with a `STAGE`) and return their graph."""
-    found: list[Stage] = []
+    stages: list[Stage] = []
     for module in pkgutil.iter_modules(tasks.__path__):
         if module.name in _NOT_STAGES or module.name.startswith("_"):
             continue
         stage = getattr(importlib.import_module(f"tasks.{module.name}"), "STAGE", None)
         if isinstance(stage, Stage):
-            found.append(stage)
-    return Graph(tuple(found))
+            stages.append(stage)
+    return Graph(tuple(stages))
 
 
 def _resting(name: str, needs: dict[str, set[str]]) -> set[str]:
     """Return the stages that one rests on, directly or not."""
-    found: set[str] = set()
+    resting: set[str] = set()
     todo = [name]
     while todo:
-        new = needs[todo.pop()] - found
-        found |= new
+        new = needs[todo.pop()] - resting
+        resting |= new
         todo += new
-    return found
+    return resting
 
 
 def _stable_order(names: Sequence[str], needs: dict[str, set[str]]) -> list[str]:

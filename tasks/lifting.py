@@ -127,8 +127,8 @@ def _shard(
         read["projections"] = [part for part in takes if not shares_takes(annotated, part)]
     pitches = {pitch for _, facts in parts for pitch in facts.pitches_deg}
     cameras = {"pitches_deg": tuple(sorted(pitches))} if pitches else {}
-    own = parameters.part(LiftingShard, **cameras)
-    return LIFTING.shard(inputs, annotated.partition, annotated.name, own, read)
+    shard_parameters = parameters.part(LiftingShard, **cameras)
+    return LIFTING.shard(inputs, annotated.partition, annotated.name, shard_parameters, read)
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -150,8 +150,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     over_time = _over_time(shard, store, in_time, set(wanted), options.pitches_deg)
     for place in wanted:
         known = lifted_from.get(place[:3], ())
-        found, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
-        rows += found
+        new_rows, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
+        rows += new_rows
     for name, own in _compared(store, shard.refs("draws"), options.compared).items():
         nearest = [retrieve(own, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
         rows += [_row(every[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)]
@@ -211,8 +211,8 @@ def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet
 @kept()
 def _compared(store: Store, refs: tuple[ArtifactRef, ...], names: tuple[str, ...]) -> dict[str, DrawIndex]:
     """Return an index over the draws of each of these names alone."""
-    own = [ref for ref in refs if density_of(store.manifest(ref)) in names]
-    return {name: DrawIndex(found.pairs_m) for name, found in read_draw_sets(store, own).items()}
+    compared_refs = [ref for ref in refs if density_of(store.manifest(ref)) in names]
+    return {name: DrawIndex(found.pairs_m) for name, found in read_draw_sets(store, compared_refs).items()}
 
 
 def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[PairPlace, PairPlace]]:
@@ -227,12 +227,12 @@ def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[
     return [spans[at] for at in evenly_spread(len(spans), num_spans)]
 
 
-def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
+def _row(seen: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     return {
-        **one.place._asdict(),
+        **seen.place._asdict(),
         "method": method,
-        "num_joints_seen": one.num_seen,
-        "residual_m": image_residual(pair_m, one.image_m),
+        "num_joints_seen": seen.num_seen,
+        "residual_m": image_residual(pair_m, seen.image_m),
         "draw": None,
         "hypothesis": None,
         **dict.fromkeys(_EXPECTED),
@@ -272,51 +272,51 @@ def _over_time(
     def database() -> SearchedDatabase:
         return _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[0]
 
-    found: dict[PairPlace, tuple[np.ndarray, float]] = {}
+    lifted: dict[PairPlace, tuple[np.ndarray, float]] = {}
     for own in couples_of(facts, places).values():
-        found |= lift_couple(store, shard.ref("annotations"), own, wanted, database)
-    is_of_draws = bool(found) and _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[1]
-    return {place: _Together(*lifted, is_of_draws) for place, lifted in found.items()}
+        lifted |= lift_couple(store, shard.ref("annotations"), own, wanted, database)
+    is_of_draws = bool(lifted) and _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[1]
+    return {place: _Together(*pair, is_of_draws) for place, pair in lifted.items()}
 
 
 def _lift(
-    one: SeenPair,
+    seen: SeenPair,
     draws: DrawSet,
     index: DrawIndex,
-    own: Sequence[int],
+    drawn: Sequence[int],
     over_time: _Together | None = None,
 ) -> tuple[list[Row], np.ndarray]:
-    """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
-    found = retrieve(index, one.image_m, one.directions)
+    """Return the rows of one annotation, and its last pair in place; `drawn` are the draws that were lifted from it."""
+    nearest = retrieve(index, seen.image_m, seen.directions)
     known = {
-        "draw": draws.reference(int(found.nearest.draw[0])),
-        "hypothesis": int(one.hypotheses[found.nearest.view[0]]),
+        "draw": draws.reference(int(nearest.nearest.draw[0])),
+        "hypothesis": int(seen.hypotheses[nearest.nearest.view[0]]),
     }
-    lengths = pooled_lengths(found.pairs_m, found.weight)
-    fitted = fit_pair(one.image_m, found.mean_m, lengths)
+    lengths = pooled_lengths(nearest.pairs_m, nearest.weight)
+    fitted = fit_pair(seen.image_m, nearest.mean_m, lengths)
     rows = [
-        _row(one, "nearest", found.pairs_m[0], **known),
-        _row(one, "neighbours", found.mean_m, **known),
-        _row(one, "fitted", fitted, **known),
+        _row(seen, "nearest", nearest.pairs_m[0], **known),
+        _row(seen, "neighbours", nearest.mean_m, **known),
+        _row(seen, "fitted", fitted, **known),
     ]
-    if not one.is_seen.all():
-        incomplete = np.where(one.is_seen[..., None], fitted, np.nan)
+    if not seen.is_seen.all():
+        incomplete = np.where(seen.is_seen[..., None], fitted, np.nan)
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=_NUM_COMPLETING).fitted_m
         if over_time is not None:  # one image says little of who is in front, its video more
             fitted = in_depth_order(fitted, as_pair17(over_time.people_m, fitted))
-        rows.append(_row(one, "completed", fitted, **known))
-    has_own_draw = bool(np.isin(own, found.nearest.draw).any())
-    mean_m = retrieve(index, one.image_m, one.directions, without=own).mean_m if has_own_draw else found.mean_m
-    expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
+        rows.append(_row(seen, "completed", fitted, **known))
+    has_own_draw = bool(np.isin(drawn, nearest.nearest.draw).any())
+    mean_m = retrieve(index, seen.image_m, seen.directions, without=drawn).mean_m if has_own_draw else nearest.mean_m
+    expected = expected_error(seen.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     if over_time is not None:
         expected = expected_over_time(expected if over_time.is_of_draws else None, over_time.expected_m)
         fitted = as_pair17(over_time.people_m, fitted)
-        off = np.nanmean(np.where(one.is_seen[..., None], fitted[..., :2] - one.image_m, np.nan), axis=(0, 1))
+        off = np.nanmean(np.where(seen.is_seen[..., None], fitted[..., :2] - seen.image_m, np.nan), axis=(0, 1))
         fitted = fitted - np.array([*off, fitted[..., 2].mean()])
-        rows.append(_row(one, "over_time", fitted, **known))
+        rows.append(_row(seen, "over_time", fitted, **known))
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
-    rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))
+    rows.append(_row(seen, "mean_pair", index.placed_mean(seen.directions[0], seen.image_m)))
     return rows, fitted
 
 
@@ -347,14 +347,14 @@ def lift_again(
     if not draws_of:
         raise InputError("lifting needs draws of a density beside prior_only, or grown pairs; there are none")
     draws, index = _indexed_draws(store, tuple(one.ref for one in draws_of))
-    found = []
+    pairs = []
     for instead in (None, {moment: points_px}):
         every, _ = read_seen_pairs(store, annotations, views, num_hypotheses=_NUM_HYPOTHESES, instead=instead)
         seen = next((one for place, one in every.items() if place[:2] == moment), None)
         if seen is None:
             raise InputError(f"{moment[0]} frame {moment[1]} has no view, or shows too little to be lifted")
-        found.append(_lift(seen, draws, index, ())[1])
-    return found[0], found[1]
+        pairs.append(_lift(seen, draws, index, ())[1])
+    return pairs[0], pairs[1]
 
 
 def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> dict[tuple[str, int, int], list[int]]:
@@ -378,13 +378,13 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
             parents[int(seed)] = [int(seed), *filled_from.tolist()]
             if sequence is not None:
                 images[int(seed)] = str(sequence), int(frame), int(person)
-    found: dict[tuple[str, int, int], list[int]] = {}
+    by_image: dict[tuple[str, int, int], list[int]] = {}
     for artifact, reference in enumerate(draws.refs):
         rows = np.flatnonzero(draws.artifacts == artifact)
         for draw, seed in zip(rows.tolist(), seeds.get(reference, ()), strict=False):
             for image in {images[one] for one in parents.get(int(seed), ()) if one in images}:
-                found.setdefault(image, []).append(draw)
-    return found
+                by_image.setdefault(image, []).append(draw)
+    return by_image
 
 
 def _baselines(

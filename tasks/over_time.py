@@ -46,15 +46,15 @@ def lift_couple(
     They are reconstructed with others of their places as one video.  Nothing where these are too few or somebody cannot
     be reconstructed; then the database is not made.
     """
-    own = [place for place in places if place in wanted]
-    if len(places) < MIN_FRAMES or not own:
+    wanted_places = [place for place in places if place in wanted]
+    if len(places) < MIN_FRAMES or not wanted_places:
         return {}
     couple, stated = places[0], SequenceFacts.of(store.manifest(ref))
     tracks = {track.person_id: track for track in read_tracks(store, ref, couple.sequence_id)[0]}
     if not {couple.person_id, couple.partner_id} <= set(tracks):
         return {}
     both = [tracks[couple.person_id], tracks[couple.partner_id]]
-    chosen = sorted({places[at] for at in evenly_spread(len(places), NUM_OVER_TIME)}.union(own))
+    chosen = sorted({places[at] for at in evenly_spread(len(places), NUM_OVER_TIME)}.union(wanted_places))
     camera, frames = StatedCamera(height_m=stated.camera_height_m), np.array([place.frame for place in chosen])
     made = lift_over_time(both, frames, database(), camera, stated.statures_m)
     if made is None:

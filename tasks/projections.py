@@ -102,17 +102,17 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
 def plan_poses(inputs: StageInputs, parameters: ProjectionsParameters, *, may_be_repaired: bool = True) -> list[Shard]:
     """Plan a shard per take that is not held out, and per artifact of draws."""
     takes = [(TakeFacts.of(manifest), manifest) for manifest in inputs.of("poses")]
-    found: list[tuple[Literal["take", "draw"], str, Manifest]] = [
+    sources: list[tuple[Literal["take", "draw"], str, Manifest]] = [
         ("take", take.take_id, manifest) for take, manifest in takes if not take.is_held_out
     ]
-    if parameters.include_draws or (parameters.include_draws is None and not found):
+    if parameters.include_draws or (parameters.include_draws is None and not sources):
         draws = [manifest for manifest in inputs.of("draws") if DrawFacts.of(manifest).density == _DENSITY]
         if not draws and may_be_repaired:
             short = [manifest for manifest in inputs.of("draws") if not is_chain(manifest)]
             draws = [manifest for manifest in short if manifest.parameters["density"] == _DENSITY]
-        found += [("draw", manifest.partition, manifest) for manifest in draws]
+        sources += [("draw", manifest.partition, manifest) for manifest in draws]
     shards = []
-    for origin, partition, manifest in found:
+    for origin, partition, manifest in sources:
         options = PoseShard(origin=origin, rate_hz=_RATE_HZ, pitches_deg=parameters.pitches_deg)
         name = f"{origin}-{manifest.partition}-{manifest.name}"
         shards.append(PROJECTIONS.shard(inputs, partition, name, options, {"poses": [manifest]}))

@@ -172,7 +172,7 @@ def _origins(
     store: Store, chosen: Sequence[tuple[_PlausibleRows, np.int64]], chains: Mapping[tuple[Any, ...], _ChainWorth]
 ) -> dict[str, list[Any]]:
     """Return the origin of the chosen rows of artifacts, as columns, reading each artifact once."""
-    found: dict[int, dict[str, Any]] = {}
+    origins: dict[int, dict[str, Any]] = {}
     for part in {part.first: part for part, _ in chosen}.values():
         name, verdict = _table(part.manifest), verdict_of(part.manifest)
         thought = {"verdict": verdict.level.value, "reason": verdict.reason} if verdict else {}
@@ -181,7 +181,7 @@ def _origins(
             thought = {"verdict": chain.verdict, "reason": chain.reason}
         table = store.read(part.manifest.ref, name, columns=[*_SHARED, *_OWN[name]])
         for rank, row in ((rank, row) for rank, (one, row) in enumerate(chosen) if one is part):
-            found[rank] = {
+            origins[rank] = {
                 "verdict": Level.NOT_JUDGED.value,
                 "reason": "",
                 **thought,
@@ -190,4 +190,4 @@ def _origins(
                 **dict.fromkeys(column for own in _OWN.values() for column in own),
                 **{column: table[column][row] for column in table},
             }
-    return {name: [found[rank][name] for rank in range(len(chosen))] for name in found[0]}
+    return {name: [origins[rank][name] for rank in range(len(chosen))] for name in origins[0]}

@@ -40,10 +40,10 @@ class SweptParameters(Parameters):
         return {name: type(self).model_validate(values) for name, values in self.swept_values().items()}
 
 
-def merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+def merged(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
     """Return the values of a section with those of a sweep in it; tables are merged, lists replaced."""
     values = dict(base)
-    for name, value in own.items():
+    for name, value in overrides.items():
         before = values.get(name)
         values[name] = merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
     return values

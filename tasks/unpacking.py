@@ -73,8 +73,8 @@ def _write_take(
     first, is_whole = _write_rows(writer, positions_m.reshape(-1, J, 3), rotations.reshape(-1, J, 4))
     frames, people = positions_m.shape[:2]
     shared = {**said, "num_frames": frames, "num_people": people, "first_source": first, "first_frame": first_frame}
-    own = {"name": said["take_id"], "is_variant": False, "is_whole": is_whole, "first_row": first}
-    writer.add_clip(**shared, **own, first_person=_write_people(writer, scales, rest_m))
+    clip_columns = {"name": said["take_id"], "is_variant": False, "is_whole": is_whole, "first_row": first}
+    writer.add_clip(**shared, **clip_columns, first_person=_write_people(writer, scales, rest_m))
     return shared
 
 
@@ -152,9 +152,9 @@ def _write_stored_variants(
     for at, (variant_id, verdict) in enumerate(zip(quality["variant_id"], quality["verdict"], strict=True)):
         scales = quality["bone_scale"][at].reshape(-1, J)
         person = _write_people(writer, scales, scaled_rest(rest_m, scales))
-        own = {"name": f"{of_take['take_id']}, {variant_id}", "is_variant": True, "is_whole": is_whole}
+        clip_columns = {"name": f"{of_take['take_id']}, {variant_id}", "is_variant": True, "is_whole": is_whole}
         place = {"first_row": first + at * size, "first_person": person}
-        writer.add_clip(**{**of_take, **own, **place, "verdict": str(verdict)})
+        writer.add_clip(**{**of_take, **clip_columns, **place, "verdict": str(verdict)})
 
 
 def _write_folder(folder: Path, writer: ClipWriter) -> None:
@@ -177,9 +177,9 @@ def _write_folder(folder: Path, writer: ClipWriter) -> None:
         scales, rest_m = (
             np.array(clip[name]).reshape(-1, J, size) for name, size in (("bone_scale", 1), ("rest_m", 3))
         )
-        own = {"name": f"{clip['take_id']}, {clip['variant_id']}", "is_variant": True, "is_whole": is_whole}
+        clip_columns = {"name": f"{clip['take_id']}, {clip['variant_id']}", "is_variant": True, "is_whole": is_whole}
         place = {"first_row": first, "first_person": _write_people(writer, scales[..., 0], rest_m)}
-        writer.add_clip(**{**takes[clip["take_id"]], **own, **place, "verdict": clip["verdict"]})
+        writer.add_clip(**{**takes[clip["take_id"]], **clip_columns, **place, "verdict": clip["verdict"]})
 
 
 class _RowGroups:
@@ -201,7 +201,7 @@ class _RowGroups:
 
 def _write_folder_contacts(folder: Path, frames: Mapping[str, int], writer: ClipWriter) -> dict[str, int]:
     """Write the contacts of takes of so many frames; returns the row of `first_contacts` of each."""
-    found, names = dict[str, int](), pa.array(person_names(64))
+    person_numbers, names = dict[str, int](), pa.array(person_names(64))
     bones = pa.array(BODY22.joint_names)
     for take_id, rows in _contacts_by_take(sorted((folder / "data" / "contacts").glob("*.parquet"))):
         who, where = (
@@ -209,11 +209,11 @@ def _write_folder_contacts(folder: Path, frames: Mapping[str, int], writer: Clip
             for columns, known in ((("person", "partner"), names), (("bone", "partner_bone"), bones))
         )
         frame, weight = rows["frame"].to_numpy(), rows["weight"].to_numpy()
-        found[take_id] = _write_contacts(writer, who, where, frame, weight, frames[take_id])
+        person_numbers[take_id] = _write_contacts(writer, who, where, frame, weight, frames[take_id])
     none = np.zeros((0, 2), dtype=np.int64)
-    for take_id in sorted(frames.keys() - found.keys()):
-        found[take_id] = _write_contacts(writer, none, none, none[:, 0], none[:, 0], frames[take_id])
-    return found
+    for take_id in sorted(frames.keys() - person_numbers.keys()):
+        person_numbers[take_id] = _write_contacts(writer, none, none, none[:, 0], none[:, 0], frames[take_id])
+    return person_numbers
 
 
 def _contacts_by_take(files: Sequence[Path]) -> Iterator[tuple[str, pa.Table]]:

@@ -185,8 +185,8 @@ class PairDataset:
         if {"scales", "skeleton"} & set(self.fields):
             person = places["first_person"][:, None] + np.minimum(np.arange(is_there.shape[1]), people[:, None] - 1)
             bodies = self._files.take("people", person) * is_there[..., None, None]
-            own = {"scales": bodies[..., 0], "skeleton": bodies[..., 1:]}
-            batch |= {name: own[name] for name in self.fields if name in own}
+            arrays = {"scales": bodies[..., 0], "skeleton": bodies[..., 1:]}
+            batch |= {name: arrays[name] for name in self.fields if name in arrays}
         told = {"name": self._names.take(pa.array(clip)).to_pylist(), "start": start, "rate_hz": self._rates_hz[clip]}
         return batch | told
 
@@ -216,10 +216,10 @@ class PairDataset:
         if (people == into.shape[2]).all():
             self._files.read(name, first, into)
             return into
-        own = [np.empty((self.window, count, *into.shape[3:]), into.dtype) for count in people.tolist()]
-        self._files.read(name, first, own)
+        by_people = [np.empty((self.window, count, *into.shape[3:]), into.dtype) for count in people.tolist()]
+        self._files.read(name, first, by_people)
         into[:] = 0
-        for rows, some in zip(into, own, strict=True):
+        for rows, some in zip(into, by_people, strict=True):
             rows[:, : some.shape[1]] = some
         return into
 

@@ -122,31 +122,31 @@ def film_source(
     return find_source(FilmOptions, path, settings, keys=keys, detections=detections, detect=chosen)
 
 
-def _row(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:
-    first = one.parameters.first_number + one.parameters.first_frame
+def _row(found_shot: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> tuple[str, ...]:
+    first = found_shot.parameters.first_number + found_shot.parameters.first_frame
     assert shot.frames.status is not None
     people = len(np.unique(shot.frames.person_id))
-    total = people * one.parameters.num_frames * shot.frames.status.shape[1]
+    total = people * found_shot.parameters.num_frames * shot.frames.status.shape[1]
     counts = np.bincount(shot.frames.status.reshape(-1), minlength=len(KeypointStatus))
     counts[KeypointStatus.MISSING] = total - counts[1:].sum()
     order = (KeypointStatus.ANNOTATED, KeypointStatus.DETECTED, KeypointStatus.TRACKED, KeypointStatus.INTERPOLATED)
     shares = [f"{counts[kind] / total:.0%}" for kind in (*order, KeypointStatus.MISSING)]
-    span = f"{first}-{first + one.parameters.num_frames - 1}"
-    return one.parameters.id, span, str(people), *shares, " ".join(map(str, wanted))
+    span = f"{first}-{first + found_shot.parameters.num_frames - 1}"
+    return found_shot.parameters.id, span, str(people), *shares, " ".join(map(str, wanted))
 
 
-def _cells(one: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[Image]:
+def _cells(found_shot: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[Image]:
     """Yield the cells of the sheet, each made small at once: whole images of all shots may be many."""
-    first = one.parameters.first_number + one.parameters.first_frame
-    for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
+    first = found_shot.parameters.first_number + found_shot.parameters.first_frame
+    for number, frame in enumerate(shot_images(found_shot.parameters, found_shot.files), start=first):
         if number in wanted:
             drawn = draw_people(frame.image, shot.frames, number, has_faces=has_faces)
             yield contact_sheet([drawn], [f"frame {number}"])
 
 
-def _drawn(one: FoundShot, shot: AnnotatedShot, has_faces: bool) -> Iterator[Image]:
-    first = one.parameters.first_number + one.parameters.first_frame
-    for number, frame in enumerate(shot_images(one.parameters, one.files), start=first):
+def _drawn(found_shot: FoundShot, shot: AnnotatedShot, has_faces: bool) -> Iterator[Image]:
+    first = found_shot.parameters.first_number + found_shot.parameters.first_frame
+    for number, frame in enumerate(shot_images(found_shot.parameters, found_shot.files), start=first):
         yield draw_people(frame.image, shot.frames, number, has_faces=has_faces)
 
 

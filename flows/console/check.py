@@ -88,9 +88,9 @@ def check(
         if source is not None:
             sources, unread = _find([source], unit or (), rate, run)
             originals = [motion for motion, _ in sources]
-            found = [(motion, source_of(motion.name, originals)) for motion, _ in pairs]
-            pairs = [pair for pair in found if pair[1] is not None]
-            checked += unread + [_without_source(motion, originals) for motion, its in found if its is None]
+            sourced = [(motion, source_of(motion.name, originals)) for motion, _ in pairs]
+            pairs = [pair for pair in sourced if pair[1] is not None]
+            checked += unread + [_without_source(motion, originals) for motion, its in sourced if its is None]
         checked += [replace(one, reason=in_options(one.reason)) for one in run(check_motion, pairs)]
         checked.sort(key=lambda one: (-one.verdict.level.rank, one.name))
         files = {motion.name: (motion, its) for motion, its in pairs}
@@ -140,14 +140,14 @@ def _find(
 ) -> tuple[list[tuple[MotionFiles, MotionFiles | None]], list[Checked]]:
     """Return the motions of files and folders, clips of datasets with their sources, and what cannot be read."""
     clips = {path: clips_of(path) for path in paths}
-    found = [clip for of_folder in clips.values() for clip in of_folder]
+    named_clips = [clip for of_folder in clips.values() for clip in of_folder]
     if all(clips.values()):
-        return found, []
+        return named_clips, []
     files = files_below([path for path, of_folder in clips.items() if not of_folder])
     counts = dict(zip(files, run(count_people, [(path,) for path in files], _FEW_FILES), strict=True))
     whole = {path: count for path, count in counts.items() if isinstance(count, int)}
     unread = [Checked(path.stem, (str(path),), UNREADABLE, why) for path, why in counts.items() if isinstance(why, str)]
-    return found + [(motion, None) for motion in pair_up(whole, units_m=units_m, rate_hz=rate_hz)], unread
+    return named_clips + [(motion, None) for motion in pair_up(whole, units_m=units_m, rate_hz=rate_hz)], unread
 
 
 def _without_source(motion: MotionFiles, sources: Sequence[MotionFiles]) -> Checked:
@@ -156,8 +156,8 @@ def _without_source(motion: MotionFiles, sources: Sequence[MotionFiles]) -> Chec
     return Checked(motion.name, motion.files, UNREADABLE, why)
 
 
-def _as_json(one: Checked) -> dict[str, Any]:
-    return {"name": one.name, "files": list(one.files), "verdict": one.level, "reason": one.reason} | one.figures
+def _as_json(pair: Checked) -> dict[str, Any]:
+    return {"name": pair.name, "files": list(pair.files), "verdict": pair.level, "reason": pair.reason} | pair.figures
 
 
 def _lines(checked: Sequence[Checked]) -> list[str]:
@@ -175,11 +175,11 @@ def _counted(checked: Sequence[Checked]) -> str:
     return f"{counted(len(checked), 'motion')}: {', '.join(each)}"
 
 
-def _cells(one: Checked, columns: Mapping[str, Figure]) -> dict[str, str]:
+def _cells(checked: Checked, columns: Mapping[str, Figure]) -> dict[str, str]:
     """Return figures as text: of several people the greatest, or the one that is worst where less is."""
     cells = {}
     for heading, figure in columns.items():
-        given = [one.figures, one.figures.get("against_source", {}), *one.figures.get("people", ())]
+        given = [checked.figures, checked.figures.get("against_source", {}), *checked.figures.get("people", ())]
         values = [row[figure.name] for row in given if row.get(figure.name) is not None]
         if not values:
             cells[heading] = ""

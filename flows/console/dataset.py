@@ -78,19 +78,19 @@ def create(
 def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """List the datasets of a store."""
     opened = open_store(store)
-    found = list_datasets(opened)
-    labels = {dataset.label for dataset in found}
+    datasets = list_datasets(opened)
+    labels = {dataset.label for dataset in datasets}
     lines = [
         f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  "
         f"{visible(dataset.note, is_line=True)}".rstrip()
-        for dataset in found
+        for dataset in datasets
     ]
     lines += [
         f"{label}  is of an older schema; `pasdedeux verify` names what reads it"
         for label in dataset_labels(opened)
         if label not in labels
     ]
-    answer([_describe(one) for one in found], lines or [f"store {store}: no datasets yet"], as_json=as_json)
+    answer([_describe(one) for one in datasets], lines or [f"store {store}: no datasets yet"], as_json=as_json)
 
 
 _LabelArgument = Annotated[str, Argument(metavar="NAME@V", help="Version of a dataset, or a name: the newest.")]

@@ -36,32 +36,32 @@ def diff(
     scores, largest difference first.
     """
     opened = open_store(store)
-    one, other = read_recorded(opened, a), read_recorded(opened, b)
-    comparison = differences(opened, one, other)
+    first, other = read_recorded(opened, a), read_recorded(opened, b)
+    comparison = differences(opened, first, other)
     changed = {
         name: {key: {"a": x, "b": y} for key, (x, y) in pairs.items()} for name, pairs in comparison.pairs.items()
     }
     described = {
-        "a": one.label,
+        "a": first.label,
         "b": other.label,
         **changed,
         "artifacts": comparison.artifacts,
         "num_scores": comparison.num_scores,
         "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in comparison.scores],
     }
-    lines = [f"a: {one.label}", f"b: {other.label}", *_change_lines(comparison, rows)]
+    lines = [f"a: {first.label}", f"b: {other.label}", *_change_lines(comparison, rows)]
     answer(described, lines, as_json=as_json)
 
 
-def _change_lines(found: Changes, num_rows: int) -> Iterator[str]:
-    for name, pairs in found.pairs.items():
+def _change_lines(changes: Changes, num_rows: int) -> Iterator[str]:
+    for name, pairs in changes.pairs.items():
         yield f"{name}: {len(pairs) or 'nothing'} differ{'s' if len(pairs) < 2 else ''}"
         cells = [(f"  {key}", shorten(x) or "-", shorten(y) or "-") for key, (x, y) in pairs.items()]
         yield from format_table(("", "a", "b"), cells, text_columns=range(3)) if cells else ()
-    rows = [(f"  {stage}", *counts.values()) for stage, counts in found.artifacts.items()]
+    rows = [(f"  {stage}", *counts.values()) for stage, counts in changes.artifacts.items()]
     yield from format_table(("artifacts", "same", "other", "only a", "only b"), rows)
-    yield f"scores: {len(found.scores)} of {found.num_scores} differ"
-    scores = [(f"  {score.name}", *score.cells) for score in found.scores[:num_rows]]
+    yield f"scores: {len(changes.scores)} of {changes.num_scores} differ"
+    scores = [(f"  {score.name}", *score.cells) for score in changes.scores[:num_rows]]
     yield from format_table(("", "a", "b", ""), scores, text_columns=(0, 3)) if scores else ()
-    if len(found.scores) > num_rows:
-        yield f"  and {len(found.scores) - num_rows} more; --rows shows them"
+    if len(changes.scores) > num_rows:
+        yield f"  and {len(changes.scores) - num_rows} more; --rows shows them"

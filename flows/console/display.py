@@ -210,9 +210,9 @@ def headlines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[s
     return summary_of([one for manifests in by_stage.values() for one in manifests]).headlines() if by_stage else []
 
 
-def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:
+def manifest_lines(stages: Mapping[str, Sequence[Manifest]]) -> list[str]:
     """Return the same of artifacts by stage; none where there are none."""
-    return summary_of([manifest for manifests in found.values() for manifest in manifests]).lines() if found else []
+    return summary_of([manifest for manifests in stages.values() for manifest in manifests]).lines() if stages else []
 
 
 def progress_text(progress: Progress) -> str:

@@ -50,10 +50,10 @@ def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         raise typer.Exit(1)
 
 
-def _at_least(is_enough: bool, found: str) -> str:
+def _at_least(is_enough: bool, version: str) -> str:
     if not is_enough:
-        raise _BadError(found)
-    return found
+        raise _BadError(version)
+    return version
 
 
 def _check_memory() -> str:

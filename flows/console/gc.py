@@ -61,13 +61,13 @@ def gc(
     answer(described, lines, as_json=as_json)
 
 
-def _by_stage(found: Collection) -> dict[str, tuple[int, int, int, int]]:
+def _by_stage(collection: Collection) -> dict[str, tuple[int, int, int, int]]:
     """Return number and bytes of what stays and of what goes: by stage, of runs' folders, of unpacked clips, of all."""
     counts: Counter[tuple[str, int]] = Counter()
-    kept, going = found.artifacts.kept, found.artifacts.going
+    kept, going = collection.artifacts.kept, collection.artifacts.going
     for at, stored, runs, clips in (
-        (0, kept, found.kept_runs, found.kept_clips),
-        (2, going, found.going_runs, found.going_clips),
+        (0, kept, collection.kept_runs, collection.kept_clips),
+        (2, going, collection.going_runs, collection.going_clips),
     ):
         for name, num_bytes in [
             *((artifact.place[0], artifact.num_bytes) for artifact in stored),

@@ -58,12 +58,12 @@ def find_take(
         InputError: It is not there, not one, or its files cannot be read.
     """
     if len(take) == 1 and Path(take[0]).suffix == ".toml" and Path(take[0]).is_file():
-        with _read_section(_section_of_study(take[0])) as found:
-            yield found
+        with _read_section(_section_of_study(take[0])) as take_files:
+            yield take_files
         return
     if len(take) > 1 or Path(take[0]).is_file():
-        with _take_of_files(take, units_m, rate_hz) as found:
-            yield found
+        with _take_of_files(take, units_m, rate_hz) as take_files:
+            yield take_files
         return
     store = open_store(store_root)
     text = take[0] if re.match(r"\w+[:@]", take[0]) else f"poses:{take[0]}"

@@ -39,22 +39,22 @@ def describe_store(store: Store) -> Described:
     return Described(_describe(store, lasts, manifests_by_study), lasts, manifests_by_study)
 
 
-def _status_lines(store: Store, found: Described) -> Iterator[str]:
-    if not found.lasts:
+def _status_lines(store: Store, described: Described) -> Iterator[str]:
+    if not described.lasts:
         yield f"store {store}: no study was built in it yet"
-    for last, study in zip(found.lasts, found.described["studies"], strict=True):
+    for last, study in zip(described.lasts, described.described["studies"], strict=True):
         yield f"study {study['study']}, last run {study['run_id']}"
         rows = [(f"  {s['stage']}", s["num_shards"], s["num_there"], size_text(s["bytes"])) for s in study["stages"]]
         yield from format_table(("  stage", "shards", "there", "size"), rows)
-        manifests = found.manifests[last.study]
+        manifests = described.manifests[last.study]
         for line in (*_missing_lines(store, last, manifests), *manifest_lines(manifests)):
             yield f"  {line}"
-    yield from (f"run {record['run_id']}: {record['status']}" for record in found.described["runs"][-5:])
+    yield from (f"run {record['run_id']}: {record['status']}" for record in described.described["runs"][-5:])
 
 
-def _missing_lines(store: Store, last: LatestRun, found: Mapping[str, Sequence[Manifest]]) -> list[str]:
+def _missing_lines(store: Store, last: LatestRun, by_stage: Mapping[str, Sequence[Manifest]]) -> list[str]:
     """Say what is not there of what a study has made, and why; nothing where all is."""
-    there = {manifest.ref.place for manifests in found.values() for manifest in manifests}
+    there = {manifest.ref.place for manifests in by_stage.values() for manifest in manifests}
     gone = [ref for stage in last.stages for ref in last.refs(stage) if ref.place not in there]
     return [
         f"not there: {counted(len(gone), 'artifact')}, such as {ref.stage}@{ref.key[:12]}, which "

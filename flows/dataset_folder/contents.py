@@ -179,18 +179,18 @@ def _is_rejected(manifest: Manifest, rejected: Mapping[str, Collection[str]]) ->
 
 def _with_descendants(roots: set[ArtifactRef], every: Mapping[ArtifactRef, Manifest]) -> set[ArtifactRef]:
     """Return these artifacts and all that was computed from them."""
-    found, before = set(roots), -1
-    while len(found) != before:
-        before = len(found)
-        found |= {ref for ref, one in every.items() if not found.isdisjoint(one.inputs)}
-    return found
+    descendants, before = set(roots), -1
+    while len(descendants) != before:
+        before = len(descendants)
+        descendants |= {ref for ref, one in every.items() if not descendants.isdisjoint(one.inputs)}
+    return descendants
 
 
 def _side_of(manifest: Manifest, sides: Mapping[str, Side], *, is_held_out: bool) -> SplitName:
     """Return the split of an artifact: the last one of those of the takes that it shows or was made from."""
     takes = [TakeFacts.of(manifest).take_id] if _is_take(manifest) else Facts.of(manifest).takes
-    found = [SPLITS.index(sides[take].split) for take in takes if take in sides]
-    return "test" if is_held_out else SPLITS[max(found, default=0)]
+    split_indices = [SPLITS.index(sides[take].split) for take in takes if take in sides]
+    return "test" if is_held_out else SPLITS[max(split_indices, default=0)]
 
 
 def _variant_ids(store: Store, manifest: Manifest) -> list[str]:
@@ -203,19 +203,19 @@ def _variant_ids(store: Store, manifest: Manifest) -> list[str]:
 def _kept_rows(store: Store, manifest: Manifest, rejected: Mapping[str, Collection[str]]) -> dict[str, Ranges]:
     """Return the rows that leave of each table of an artifact; of variants those of each by itself."""
     facts = VariantFacts.of(manifest) if "variants" in manifest.tables else None
-    found: dict[str, Ranges] = {}
+    ranges: dict[str, Ranges] = {}
     for table, part in manifest.tables.items():
         if facts is not None and table in _OF_VARIANTS:
             names = _variant_ids(store, manifest)
             size = part.rows // max(len(names), 1)
             left = [at for at, name in enumerate(names) if name not in rejected.get("variants", ())]
-            found[table] = tuple((at * size, at * size + size) for at in left)
+            ranges[table] = tuple((at * size, at * size + size) for at in left)
         elif rejected.get(table):
             batches = store.iter_batches(manifest.ref, table, columns=content_columns(table))
-            found[table] = _ranges(batches, rejected[table])
+            ranges[table] = _ranges(batches, rejected[table])
         else:
-            found[table] = ((0, part.rows),) if part.rows else ()
-    return found
+            ranges[table] = ((0, part.rows),) if part.rows else ()
+    return ranges
 
 
 def _ranges(batches: Iterable[Any], names: Collection[str]) -> Ranges:

@@ -99,12 +99,12 @@ def attachment_name(manifest: Manifest, name: str) -> str:
 def _splits(contents: Contents, clips: list[dict[str, Any]]) -> dict[str, Any]:
     """Return what `splits.json` has."""
     there = [split for split in SPLITS if any(clip["split"] == split for clip in clips)]
-    own = {split: [clip for clip in clips if clip["split"] == split] for split in there}
+    by_split = {split: [clip for clip in clips if clip["split"] == split] for split in there}
     return {
         "by": "take",
         "takes": {name: asdict(side) for name, side in contents.sides.items()},
-        "num_clips": {split: len(found) for split, found in own.items()},
-        "num_frames": {split: sum(clip["num_frames"] for clip in found) for split, found in own.items()},
+        "num_clips": {split: len(found) for split, found in by_split.items()},
+        "num_frames": {split: sum(clip["num_frames"] for clip in found) for split, found in by_split.items()},
     }
 
 
@@ -190,13 +190,13 @@ def _feature(column: Column) -> dict[str, Any]:
 
 def _licences(dataset: Dataset) -> dict[str, bytes]:
     """Return the licences of the sources as files: of this program's the text, of others what was said of them."""
-    found = {}
+    licences = {}
     for licence in dict.fromkeys(source.licence for source in dataset.sources):
         name = licence if re.fullmatch(r"[A-Za-z0-9.+-]{1,40}", licence) else f"LicenseRef-{_plain(licence)}"
         of = "".join(f"{one.name}\n  {one.credit}\n" for one in dataset.sources if one.licence == licence)
         text = (_own_licence() if licence == "Apache-2.0" else "") or f"{licence}\n"
-        found[f"LICENSES/{name}.txt"] = f"{text}\nLicence of:\n\n{of}".encode()
-    return found
+        licences[f"LICENSES/{name}.txt"] = f"{text}\nLicence of:\n\n{of}".encode()
+    return licences
 
 
 def _plain(text: str) -> str:

@@ -183,12 +183,12 @@ def _in_order(artifacts: list[Manifest]) -> Iterator[Manifest]:
 
 def _parts_of(manifest: FolderManifest) -> dict[tuple[str, str, str], list[_Place]]:
     """Return where the rows of each artifact's part of a table lie, in their order: by stage, content and table."""
-    found = defaultdict[tuple[str, str, str], list[tuple[Any, _Place]]](list)
+    parts = defaultdict[tuple[str, str, str], list[tuple[Any, _Place]]](list)
     for name, file in manifest.files.items():
         for number, (stage, digest, rows) in enumerate(file.parts):
             if rows:
-                found[stage, digest, name.split("/")[1]].append((rows, (name, number)))
-    return {key: [place for _, place in sorted(places)] for key, places in found.items()}
+                parts[stage, digest, name.split("/")[1]].append((rows, (name, number)))
+    return {key: [place for _, place in sorted(places)] for key, places in parts.items()}
 
 
 def _bring(
@@ -211,20 +211,20 @@ def _bring(
             if Path(name).name != name:
                 raise CorruptArtifact(f"{folder} names an attachment '{name}' that is none")
             shutil.copyfile(folder / attachment_name(recorded, name), staging.path / name)
-        one = replace(recorded, tables=tables, inputs=inputs)
-        if one != recorded or [ref.key for ref in inputs] != [ref.key for ref in recorded.inputs]:
-            one = replace(one, digest="")
-        if one.computed_digest != recorded.ref.content_digest or inputs != recorded.inputs:
-            key = hashlib.sha256(f"{recorded.ref.key} {one.computed_digest}".encode()).hexdigest()
-            one = replace(one, ref=ArtifactRef(one.ref.stage, key, one.computed_digest), reads=None)
-        check_ids(one, staging.path, str(folder))
-        there = store.find(*one.ref.place)
+        brought = replace(recorded, tables=tables, inputs=inputs)
+        if brought != recorded or [ref.key for ref in inputs] != [ref.key for ref in recorded.inputs]:
+            brought = replace(brought, digest="")
+        if brought.computed_digest != recorded.ref.content_digest or inputs != recorded.inputs:
+            key = hashlib.sha256(f"{recorded.ref.key} {brought.computed_digest}".encode()).hexdigest()
+            brought = replace(brought, ref=ArtifactRef(brought.ref.stage, key, brought.computed_digest), reads=None)
+        check_ids(brought, staging.path, str(folder))
+        there = store.find(*brought.ref.place)
         if there is not None:
-            if there.ref != one.ref:
+            if there.ref != brought.ref:
                 raise CorruptArtifact(
-                    f"the store {store} has other bytes for artifact {one.ref.stage}@{one.ref.key[:12]}"
+                    f"the store {store} has other bytes for artifact {brought.ref.stage}@{brought.ref.key[:12]}"
                 )
             return there.ref, False
-        write_file(staging.path / MANIFEST_NAME, one.to_json().encode())
+        write_file(staging.path / MANIFEST_NAME, brought.to_json().encode())
         sync_folder(staging.path)
-        return store.put_in_place(staging, one), True
+        return store.put_in_place(staging, brought), True

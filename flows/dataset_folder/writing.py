@@ -285,15 +285,15 @@ def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Ite
     if "variants" not in manifest.tables:
         yield _found_in(store, ref, TakeFacts.of(manifest).contacts, "poses")[2]
         return
-    source, found, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts, "variants")
-    count, table = len(found.frame), TABLES["variants"]
+    source, contact_rows, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts, "variants")
+    count, table = len(contact_rows.frame), TABLES["variants"]
     batches = (one.rows for one in store.iter_batches(ref, "variants", columns=["body22_m"]))
     for group, part in zip(groups, cut(batches, groups), strict=True):
         positions_m = TableData(table, part)["body22_m"].reshape(source.positions_m.shape)
-        held = found.held_in(replace(source, positions_m=positions_m))
-        own = {"variant_id": [group.clip.partition("/")[2]] * count, "distance_m": held.distance_m}
-        own |= {"point_m": held.points_m[:, 0], "partner_point_m": held.points_m[:, 1], "gap_m": held.gap_m}
-        yield with_columns(TABLES["contacts"], known, own)
+        held = contact_rows.held_in(replace(source, positions_m=positions_m))
+        columns = {"variant_id": [group.clip.partition("/")[2]] * count, "distance_m": held.distance_m}
+        columns |= {"point_m": held.points_m[:, 0], "partner_point_m": held.points_m[:, 1], "gap_m": held.gap_m}
+        yield with_columns(TABLES["contacts"], known, columns)
 
 
 @lru_cache(maxsize=4)
@@ -384,10 +384,10 @@ def _row_groups(part: Path, file: DataFile, columns: Sequence[str] | None = None
 def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, Any]:
     """Return what `stats.json` has: figures by split, table and column."""
     manifests = {one.ref: one for one in contents.manifests}
-    found: dict[str, Any] = {}
+    statistics: dict[str, Any] = {}
 
-    def motions(own: Sequence[DataFile]) -> Iterator[tuple[Any, float]]:
-        for file in own:
+    def motions(motion_files: Sequence[DataFile]) -> Iterator[tuple[Any, float]]:
+        for file in motion_files:
             for group, rows in zip(file.groups, _row_groups(part, file, ["body22_m"]), strict=True):
                 facts = PeopleFacts.of(manifests[group.ref])
                 shape = (facts.num_frames, facts.num_persons)
@@ -398,10 +398,10 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
 
     for split in SPLITS:
         for table in _MOTIONS:
-            own = [file for file in files if (file.table, file.groups[0].split) == (table, split)]
-            num_rows = sum(group.num_rows for file in own for group in file.groups)
-            if own:
-                found.setdefault(split, {})[table] = figures_of_motions(motions(own), num_rows)
+            split_files = [file for file in files if (file.table, file.groups[0].split) == (table, split)]
+            num_rows = sum(group.num_rows for file in split_files for group in file.groups)
+            if split_files:
+                statistics.setdefault(split, {})[table] = figures_of_motions(motions(split_files), num_rows)
         touched = [file for file in files if (file.table, file.groups[0].split) == ("contacts", split)]
         held = {}
         for take, frame, bone in _held_contacts(touched, part):
@@ -410,8 +410,8 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
         if touched:
             takes = [manifests[group.ref] for file in touched for group in file.groups if not group.rows]
             num_frames = {TakeFacts.of(one).take_id: TakeFacts.of(one).num_frames for one in takes}
-            found[split]["poses"]["contact_rate"] = contact_figures(held, num_frames)
-    return found
+            statistics[split]["poses"]["contact_rate"] = contact_figures(held, num_frames)
+    return statistics
 
 
 def _num_rows(path: Path) -> int:

@@ -259,15 +259,15 @@ def _rate_hz(export: Export, study_hz: float, source_hz: float) -> float:
     return source_hz if export.rate == "source" and source_hz else study_hz
 
 
-def _own_rig(person: TakePerson, own: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose, rate_hz: float) -> Rig:
-    """Return a person on the source's own skeleton, at this rate; `wanted_m` (frame, 22, 3) is at that of `own`."""
+def _own_rig(person: TakePerson, made: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose, rate_hz: float) -> Rig:
+    """Return a person on the source's own skeleton, at this rate; `wanted_m` (frame, 22, 3) is at that of `made`."""
     if wanted_m is not None:
-        wanted_m = resample_positions(wanted_m, from_hz=own.motion.rate_hz, to_hz=rate_hz)
-    own = replace(own, motion=own.motion.resample(rate_hz))
-    drawn = rig_of(own, rest_pose)
-    lengths = np.median(bone_lengths(BODY22, own.body.of(own.motion)), axis=0)
+        wanted_m = resample_positions(wanted_m, from_hz=made.motion.rate_hz, to_hz=rate_hz)
+    made = replace(made, motion=made.motion.resample(rate_hz))
+    drawn = rig_of(made, rest_pose)
+    lengths = np.median(bone_lengths(BODY22, made.body.of(made.motion)), axis=0)
     height_m = float(body_height_m(BODY22, lengths))
-    return Rig(drawn.motion, height_m, body_map=drawn.body, own=(person, own, wanted_m))
+    return Rig(drawn.motion, height_m, body_map=drawn.body, own=(person, made, wanted_m))
 
 
 def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
@@ -335,17 +335,17 @@ def _pairs(export: Export) -> Iterator[Cast]:
     table, row = export.reference.table, export.reference.row
     is_named = export.all_methods or table not in PRODUCTS
     keys = [name for name in _KEYS[table] if name != "method" or is_named]
-    found: dict[tuple[Any, ...], list[tuple[ArtifactRef | None, TableData, np.ndarray, Sequence[str]]]] = {}
+    by_pair: dict[tuple[Any, ...], list[tuple[ArtifactRef | None, TableData, np.ndarray, Sequence[str]]]] = {}
     for ref, rows, labels in _rows_of_pairs(export):
         for key, part in groups(rows, *keys):
-            found.setdefault(key, []).append((ref, rows, part, [labels[at] for at in part]))
+            by_pair.setdefault(key, []).append((ref, rows, part, [labels[at] for at in part]))
     if table in ANNOTATED and row is None:  # stills, each a sequence of its own
-        for key in [key for key, parts in found.items() if sum(len(part) for _, _, part, _ in parts) == 1]:
-            (one,) = found.pop(key)
+        for key in [key for key, parts in by_pair.items() if sum(len(part) for _, _, part, _ in parts) == 1]:
+            (one,) = by_pair.pop(key)
             assert one[0] is not None
-            found.setdefault((export.store.manifest(one[0]).partition, "stills", key[-1]), []).append(one)
+            by_pair.setdefault((export.store.manifest(one[0]).partition, "stills", key[-1]), []).append(one)
     levels = _chain_levels(export) if table == "draws" else {}
-    for key, parts in found.items():
+    for key, parts in by_pair.items():
         ref = parts[0][0]
         frames = [int(one) for _, rows, part, _ in parts for one in rows["frame"][part]] if table in ANNOTATED else []
         is_moving = len(frames) > 1 and bool((np.diff(frames) == 1).all())

@@ -73,9 +73,9 @@ def _content(rows: TableData, part: np.ndarray, layout: str) -> dict[str, list[d
             }
         )
     category = {"id": 1, "name": "person", "supercategory": "person"}
-    own = KEYPOINT_LAYOUTS[layout]
+    kept = KEYPOINT_LAYOUTS[layout]
     return {
         "images": list(images.values()),
         "annotations": annotations,
-        "categories": [category | {"keypoints": list(own.keypoint_names), "skeleton": own.links(first=1)}],
+        "categories": [category | {"keypoints": list(kept.keypoint_names), "skeleton": kept.links(first=1)}],
     }

@@ -47,10 +47,10 @@ def contact_rows(export: Export) -> Iterator[TableData]:
     for table, names in _PARTS.items():
         refs = tuple(ref for ref in export.refs if table in export.store.manifest(ref).tables)
         for cast in casts(replace(export, reference=replace(export.reference, table=table), refs=refs)):
-            found, first_frame = _contacts_of(export.store, cast), 0 if cast.seen is None else cast.seen.frames[0]
-            count, frame = len(found.frame), found.frame + first_frame
+            contacts, first_frame = _contacts_of(export.store, cast), 0 if cast.seen is None else cast.seen.frames[0]
+            count, frame = len(contacts.frame), contacts.frame + first_frame
             rows = {name: [str(part)] * count for name, part in zip(names, cast.parts, strict=False)}
-            rows |= {"origin": [table] * count} | found.columns() | {"frame": frame, "time_s": frame / cast.rate_hz}
+            rows |= {"origin": [table] * count} | contacts.columns() | {"frame": frame, "time_s": frame / cast.rate_hz}
             yield TableData(made, encode(made, rows))
 
 

@@ -156,7 +156,7 @@ def write_units(out: Path, said: Iterable[str], lines: Mapping[str, str]) -> Pat
     path = out / "UNITS.txt"
     before = path.read_text("utf-8", errors="replace").partition("\n\n") if path.is_file() else ("", "", "")
     sentences = dict.fromkeys([*before[0].splitlines(), *said])
-    known = {found["name"]: line for line in before[2].splitlines() if (found := _LINE.match(line))}
+    known = {match["name"]: line for line in before[2].splitlines() if (match := _LINE.match(line))}
     each = known | {name: f"{name}: {line}" for name, line in lines.items()}
     return write_text(path, "\n".join([*sentences, "", *(each[name] for name in sorted(each))]) + "\n")
 

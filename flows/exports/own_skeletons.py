@@ -100,9 +100,9 @@ def rate_in_words(rate_hz: float, source_rate_hz: float) -> str:
     return f"{rate_hz:.6g} Hz{other}"
 
 
-def rig_of(own: OwnSkeleton, rest_pose: RestPose) -> OwnSkeleton:
+def rig_of(own_skeleton: OwnSkeleton, rest_pose: RestPose) -> OwnSkeleton:
     """Return what programs can draw: every joint has a length, and the rest pose is the one that was asked for."""
-    ended = with_end_sites(own)
+    ended = with_end_sites(own_skeleton)
     return standing(ended) if rest_pose == "standing" else ended
 
 
@@ -125,7 +125,7 @@ class RigFiles:
         self,
         parts: Sequence[str | int],
         person: TakePerson,
-        own: OwnSkeleton,
+        own_skeleton: OwnSkeleton,
         wanted_m: np.ndarray | None = None,
         *,
         is_apart: bool = False,
@@ -135,22 +135,22 @@ class RigFiles:
         Args:
             parts: Of the name of both files, before the person.
             person: Who it is.
-            own: The motion.
+            own_skeleton: The motion.
             wanted_m: body22 of the variant that it plays (frame, 22, 3), metres; none where it is the source.
             is_apart: Whether it lies apart from what is good.
         """
         path = self._names.path(*parts, suffix=".bvh", who=person.letter, is_apart=is_apart)
-        motion = rig_of(own, self._rest_pose).motion
+        motion = rig_of(own_skeleton, self._rest_pose).motion
         metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
         rate = rate_in_words(motion.rate_hz, person.source_rate_hz)
         line = f"{motion.num_frames} frames at {rate}, one unit of the BVH is {metres:.9g} m"
         facts = {
             "rest_pose": self._rest_pose,
             "bvh_metres_per_unit": metres,
-            "body22_joint": own.body.joint_names(own.motion.skeleton),
+            "body22_joint": own_skeleton.body.joint_names(own_skeleton.motion.skeleton),
         }
         if wanted_m is not None:
-            away_m = np.linalg.norm(own.body.of(own.motion) - wanted_m, axis=-1)
+            away_m = np.linalg.norm(own_skeleton.body.of(own_skeleton.motion) - wanted_m, axis=-1)
             line += (
                 f"; joints lie within {1e3 * np.percentile(away_m, 95):.1f} mm (95 %) of the variant's body22, "
                 f"at worst {1e3 * away_m.max():.1f} mm, "

@@ -29,10 +29,10 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
     for cast in casts(export):
         people = zip(cast.letters, cast.rigs(), np.moveaxis(cast.positions_m, 1, 0), strict=True)
         for letter, rig, positions_m in people:
-            found, axis = _fitted(model, rig, positions_m)
+            fitted, axis = _fitted(model, rig, positions_m)
             turned = replace(cast, axes=f"right-handed, {axis.upper()} up")
-            path = files.path(turned, suffix=".npz", who=letter, said=_misfit_in_words(found))
-            path.write_bytes(_npz(export, cast, found, model, axis))
+            path = files.path(turned, suffix=".npz", who=letter, said=_misfit_in_words(fitted))
+            path.write_bytes(_npz(export, cast, fitted, model, axis))
     return files.close()
 
 
@@ -48,36 +48,36 @@ def _fitted(model: BodyModel, rig: Rig, positions_m: np.ndarray) -> tuple[SmplMo
     """Return the parameters of a person, and which axis points up in them: that of the source where it was SMPL."""
     if rig.own is None:
         return smpl_of_body22(model, positions_m, rig.motion.world()[1][:, : BODY22.num_joints]), "y"
-    person, own, _ = rig.own
-    if own.motion.skeleton.joint_names == model.skeleton.joint_names:
-        return smpl_of_motion(model, own.motion, positions_m, up_axis=person.up_axis), person.up_axis
-    stood = standing(own)
+    person, own_skeleton, _ = rig.own
+    if own_skeleton.motion.skeleton.joint_names == model.skeleton.joint_names:
+        return smpl_of_motion(model, own_skeleton.motion, positions_m, up_axis=person.up_axis), person.up_axis
+    stood = standing(own_skeleton)
     carriers = stood.body.weight.argmax(axis=1)
     return smpl_of_body22(model, positions_m, stood.motion.world()[1][:, carriers]), "y"
 
 
-def _misfit_in_words(found: SmplMotion) -> str:
+def _misfit_in_words(fitted: SmplMotion) -> str:
     """Say how far the betas and the rotations miss."""
-    bone, worst_m = max(found.misfit_m.items(), key=lambda one: abs(one[1]))
-    mean_m = np.mean(np.abs([*found.misfit_m.values()]))
+    bone, worst_m = max(fitted.misfit_m.items(), key=lambda one: abs(one[1]))
+    mean_m = np.mean(np.abs([*fitted.misfit_m.values()]))
     return (
-        f"joints lie within {1e3 * np.percentile(found.away_m, 95):.1f} mm (95 %), at worst "
-        f"{1e3 * found.away_m.max():.1f} mm; bones of the fitted betas differ by {1e3 * mean_m:.1f} mm in the mean, "
+        f"joints lie within {1e3 * np.percentile(fitted.away_m, 95):.1f} mm (95 %), at worst "
+        f"{1e3 * fitted.away_m.max():.1f} mm; bones of the fitted betas differ by {1e3 * mean_m:.1f} mm in the mean, "
         f"{bone} by {1e3 * worst_m:+.1f} mm"
     )
 
 
-def _npz(export: Export, cast: Cast, found: SmplMotion, model: BodyModel, axis: str) -> bytes:
-    poses = found.rotvecs.reshape(len(found.rotvecs), -1)
-    bones, misfits = zip(*found.misfit_m.items(), strict=True)
+def _npz(export: Export, cast: Cast, fitted: SmplMotion, model: BodyModel, axis: str) -> bytes:
+    poses = fitted.rotvecs.reshape(len(fitted.rotvecs), -1)
+    bones, misfits = zip(*fitted.misfit_m.items(), strict=True)
     out = io.BytesIO()
     np.savez_compressed(
         out,
         poses=poses,
         root_orient=poses[:, :3],
         pose_body=poses[:, 3 : 3 * len(BODY)],
-        trans=found.trans_m,
-        betas=found.betas,
+        trans=fitted.trans_m,
+        betas=fitted.betas,
         mocap_framerate=cast.rate_hz,
         surface_model_type=np.array(model.kind.replace("-", "").lower()),
         gender=np.array("neutral"),
@@ -87,6 +87,6 @@ def _npz(export: Export, cast: Cast, found: SmplMotion, model: BodyModel, axis: 
         credit=np.array(export.credit),
         bone=np.array(bones),
         bone_misfit_m=np.array(misfits),
-        joint_misfit_m=found.away_m,
+        joint_misfit_m=fitted.away_m,
     )
     return out.getvalue()

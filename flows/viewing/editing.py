@@ -259,17 +259,17 @@ class Editor:
     def _offer(self, before: set[Path], seed: str) -> None:
         """Put new draws that come from a seed file on the shelf: a part for each partition."""
         viewer, store = self.viewer, self.viewer.shelf.store
-        found: dict[str, list[ArtifactRef]] = {}
+        refs_by_stage: dict[str, list[ArtifactRef]] = {}
         for path in sorted(set(store.folders("chains")) - before):
-            one = store.find("chains", path.name)
-            if one is not None and "draws" in one.tables:
-                names = {name for ref in one.inputs for name, _ in store.manifest(ref).files}
+            manifest = store.find("chains", path.name)
+            if manifest is not None and "draws" in manifest.tables:
+                names = {name for ref in manifest.inputs for name, _ in store.manifest(ref).files}
                 if seed in names:
-                    found.setdefault(f"restart {Path(seed).stem} {one.partition}", []).append(one.ref)
+                    refs_by_stage.setdefault(f"restart {Path(seed).stem} {manifest.partition}", []).append(manifest.ref)
         with viewer.lock:
-            new = [Part("draws", name, tuple(refs)) for name, refs in found.items()]
+            new = [Part("draws", name, tuple(refs)) for name, refs in refs_by_stage.items()]
             if set(new) - set(viewer.shelf.parts):
-                viewer.shelf.parts = [part for part in viewer.shelf.parts if part.name not in found] + new
+                viewer.shelf.parts = [part for part in viewer.shelf.parts if part.name not in refs_by_stage] + new
                 viewer.offer_parts()
 
     # 2D poses.

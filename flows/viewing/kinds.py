@@ -328,13 +328,13 @@ KINDS: Mapping[str, Kind] = {
 def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
     """Return the annotated pairs that a chain was sampled with."""
     inputs = [store.manifest(one) for one in store.manifest(ref).inputs]
-    found: list[SeenPair] = []
+    seen_pairs: list[SeenPair] = []
     for views in (manifest for manifest in inputs if "views" in manifest.tables):
         for annotated in (
             manifest.ref for manifest in inputs if "annotations" in manifest.tables and manifest.ref in views.inputs
         ):
-            found += read_seen_pairs(store, annotated, views.ref, num_hypotheses=1)[0].values()
-    return found
+            seen_pairs += read_seen_pairs(store, annotated, views.ref, num_hypotheses=1)[0].values()
+    return seen_pairs
 
 
 def _image_of(image_m: Array, title: str, skeleton: Skeleton = PAIR17) -> Flat:

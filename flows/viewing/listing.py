@@ -91,15 +91,15 @@ class Listing:
 def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
     """Return the figures of each item of a part by the item's names; of several people those of the worst stand."""
     table = KINDS[part.table].quality
-    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    quality_rows: dict[tuple[str, ...], dict[str, Any]] = {}
     for ref in shelf.having(table, part.name) if table else ():
         data = shelf.store.read(ref, table)
         for number in range(data.num_rows):
             row = data.row(number)
             names = tuple(str(row[name]) for name in GROUPS[part.table])
-            if names not in found or Level(row["verdict"]).rank > Level(found[names]["verdict"]).rank:
-                found[names] = row
-    return found
+            if names not in quality_rows or Level(row["verdict"]).rank > Level(quality_rows[names]["verdict"]).rank:
+                quality_rows[names] = row
+    return quality_rows
 
 
 def _is_figure(part: Part, name: str, value: Any) -> bool:

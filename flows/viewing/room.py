@@ -263,8 +263,8 @@ def across(people: People) -> Array:
         return np.array([0.0, 1.0])
     pairs = every[frames, :2].astype(np.float64)
     away = np.linalg.norm(pairs[:, 0, :, None] - pairs[:, 1, None], axis=-1).min(axis=(1, 2))
-    one, other = np.nanmean(pairs[int(np.nanargmin(away))], axis=1)[:, [0, 2]]
-    line = (other - one) / max(float(np.linalg.norm(other - one)), 1e-9)
+    first, other = np.nanmean(pairs[int(np.nanargmin(away))], axis=1)[:, [0, 2]]
+    line = (other - first) / max(float(np.linalg.norm(other - first)), 1e-9)
     direction = np.array([-line[1], line[0]])
     return direction if direction[1] > 0 else -direction if line.any() else np.array([0.0, 1.0])
 

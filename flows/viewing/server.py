@@ -142,9 +142,9 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
                 response.headers["Cache-Control"] = "no-store"
                 response.headers["Referrer-Policy"] = "no-referrer"
                 address = urlsplit(request.path)
-                if address.path == "/" and (found := parse_qs(address.query).get("at")):
+                if address.path == "/" and (places := parse_qs(address.query).get("at")):
                     # Apart: who holds the viewer may wait for what only this thread can answer.
-                    threading.Thread(target=on_visit, args=(found[0],), daemon=True).start()
+                    threading.Thread(target=on_visit, args=(places[0],), daemon=True).start()
             return response
 
         return plain(*arguments, process_request=answer, **options)

@@ -70,8 +70,8 @@ class Item:
         """Return which row of the item a row of an artifact is; None where it is of another item."""
         before = 0
         for own, rows in self.pieces:
-            if own == ref and len(found := np.flatnonzero(rows == row)):
-                return before + int(found[0])
+            if own == ref and len(positions := np.flatnonzero(rows == row)):
+                return before + int(positions[0])
             before += len(rows)
         return None
 
@@ -119,21 +119,21 @@ class Shelf:
         self.corrected: dict[ArtifactRef, Mapping[tuple[int, int], Array]] = {}
         """2D joints of film (17, 2) by frame and person that somebody has moved, NaN: those that are stored."""
         self.beside = tuple(dict.fromkeys([*shown, *beside]))
-        found: dict[tuple[str, str], list[ArtifactRef]] = {}
+        refs_by_item: dict[tuple[str, str], list[ArtifactRef]] = {}
         for ref in dict.fromkeys(shown):
             manifest = store.manifest(ref)
             for table in manifest.tables:
                 if table in (tables or GROUPS) and manifest.tables[table].rows:
-                    found.setdefault((table, manifest.partition), []).append(ref)
+                    refs_by_item.setdefault((table, manifest.partition), []).append(ref)
         order = list(GROUPS)
-        places = sorted(found, key=lambda place: order.index(place[0]))
-        self.parts = [Part(*place, tuple(found[place])) for place in places]
+        places = sorted(refs_by_item, key=lambda place: order.index(place[0]))
+        self.parts = [Part(*place, tuple(refs_by_item[place])) for place in places]
         self.items = lru_cache(maxsize=8)(self._items)
 
     def _items(self, part: Part) -> list[Item]:
         """Return the items of a part, from the columns that name them alone."""
         columns = GROUPS[part.table]
-        found: dict[tuple[str, ...], list[tuple[ArtifactRef, Integers]]] = {}
+        rows_by_item: dict[tuple[str, ...], list[tuple[ArtifactRef, Integers]]] = {}
         for ref in part.refs:
             data = self.store.read(ref, part.table, columns=columns)
             names = np.stack([np.asarray(data[name]).astype(str) for name in columns], axis=-1)
@@ -143,8 +143,8 @@ class Shelf:
             if part.table == "annotations" and max(sizes) < 2 * _STILLS:
                 unique, rows = np.array([[SINGLE_IMAGES]]), [np.arange(data.num_rows)]
             for name, own in zip(unique.tolist(), rows, strict=True):
-                found.setdefault(tuple(name), []).append((ref, own))
-        return [Item(names, tuple(pieces), _label(columns, names)) for names, pieces in found.items()]
+                rows_by_item.setdefault(tuple(name), []).append((ref, own))
+        return [Item(names, tuple(pieces), _label(columns, names)) for names, pieces in rows_by_item.items()]
 
     def having(self, table: str, partition: str | None = None) -> list[ArtifactRef]:
         """Return the artifacts at hand with this table, of one partition where one is given."""

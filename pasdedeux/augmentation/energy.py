@@ -28,43 +28,43 @@ def laplacian_residual(problem: MeshProblem, targets: Targets, offsets: Array) -
 
 def fit_terms(problem: MeshProblem, targets: Targets, variant: int) -> list[Term]:
     """State the energy of one variant as terms of a fit."""
-    one = targets.select([variant])
+    single = targets.select([variant])
     groups = list(AXIS_GROUP)
     direction, contacts = problem.contact_direction, problem.contacts
-    missed = one.contact_m[0] - contacts.vectors(one.reference[0])
+    missed = single.contact_m[0] - contacts.vectors(single.reference[0])
     kept = (direction * problem.contact_weights)[..., None] * missed
     quadratic = QuadraticTerm(
-        origin_m=one.reference[0],
+        origin_m=single.reference[0],
         matrix=problem.free_matrix,
         lag1=problem.lag1[groups],
         lag2=problem.lag2[groups],
-        linear=right_hand_side(problem, one)[0] + contacts.spread(kept, problem.source.num_points),
-        constant=_constant(problem, one) + float((kept * missed).sum()),
+        linear=right_hand_side(problem, single)[0] + contacts.spread(kept, problem.source.num_points),
+        constant=_constant(problem, single) + float((kept * missed).sum()),
     )
     girdle = DistanceTerm(
         pairs=girdle_pairs(problem.source.num_people),
-        lengths_m=one.girdle_m[0],
+        lengths_m=single.girdle_m[0],
         weights=np.array(weights.GIRDLE),
     )
     near = problem.clearance
     clearance = HalfSpaceTerm(
-        origin_m=one.reference[0],
+        origin_m=single.reference[0],
         points=near.points,
         shares=near.shares,
         normals=near.normals,
-        limits_m=one.clearance_m[0],
+        limits_m=single.clearance_m[0],
         weights=near.weights,
     )
-    lengths = np.linalg.norm(one.contact_m[0], axis=-1)
+    lengths = np.linalg.norm(single.contact_m[0], axis=-1)
     return [quadratic, girdle, clearance, ContactTerm(contacts, (1.0 - direction) * problem.contact_weights, lengths)]
 
 
-def _constant(problem: MeshProblem, one: Targets) -> float:
+def _constant(problem: MeshProblem, single: Targets) -> float:
     """Return what the quadratic terms weigh at x = 0, where nothing is left of them but their targets."""
-    difference = one.difference[0]
+    difference = single.difference[0]
     parts = (
-        weights.LAPLACIAN * laplacian_residual(problem, one, np.zeros((1, *difference.shape))) ** 2,
-        problem.floor * one.height[0] ** 2,
+        weights.LAPLACIAN * laplacian_residual(problem, single, np.zeros((1, *difference.shape))) ** 2,
+        problem.floor * single.height[0] ** 2,
         problem.stance[..., None] * np.diff(difference, axis=0)[..., [0, 2]] ** 2,
         (problem.anchor - weights.REFERENCE)[:, None] * difference**2,
     )

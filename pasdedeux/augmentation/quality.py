@@ -81,12 +81,12 @@ class Quality:
 
         Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
         """
-        found = [(level, words) for _, level, words in complaints(self, FIGURES, limits)]
+        complained = [(level, words) for _, level, words in complaints(self, FIGURES, limits)]
         if not self.num_contact_pairs and not is_alone:
-            found.insert(0, (Level.WARN, "nothing is in contact in the source, so contact drift is not known"))
+            complained.insert(0, (Level.WARN, "nothing is in contact in the source, so contact drift is not known"))
         return Verdict(
-            max((level for level, _ in found), key=lambda level: level.rank, default=Level.PASS),
-            "; ".join(words for _, words in found),
+            max((level for level, _ in complained), key=lambda level: level.rank, default=Level.PASS),
+            "; ".join(words for _, words in complained),
             figure=FIGURES["contact_drift_m"].words,
             value=self.contact_drift_m,
             unit="m",
@@ -286,11 +286,11 @@ def _jerk(points: Array) -> tuple[float, Array]:
 def _stances(stands: Flags) -> list[tuple[int, slice]]:
     """Return joint and frames of every stance, of which joints stand when (T, n)."""
     edges = np.diff(np.pad(stands, ((1, 1), (0, 0))).astype(np.int8), axis=0)
-    found = []
+    stances = []
     for joint in np.flatnonzero(stands.any(axis=0)):
         starts, stops = (np.flatnonzero(edges[:, joint] == sign) for sign in (1, -1))
-        found += [(int(joint), slice(int(a), int(b))) for a, b in zip(starts, stops, strict=True)]
-    return found
+        stances += [(int(joint), slice(int(a), int(b))) for a, b in zip(starts, stops, strict=True)]
+    return stances
 
 
 def _spine_bends(points: Array) -> Array:

@@ -133,8 +133,8 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
         "groups": lambda: group_variations(scales, persons, settings.groups, num_people),
         "bones": lambda: bone_variations(scales, persons, num_people),
     }
-    found = [variation for kind in settings.kinds for variation in made[kind]()]
-    return list({variation.variant_id: variation for variation in found}.values())
+    variations = [variation for kind in settings.kinds for variation in made[kind]()]
+    return list({variation.variant_id: variation for variation in variations}.values())
 
 
 def leg_ratio(bone_scale: Array, lengths_m: Array, skeleton: Skeleton = BODY22) -> Array:

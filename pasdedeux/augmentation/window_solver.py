@@ -98,8 +98,8 @@ class WindowSolver:
         """Return energies (variant,) and squared residuals (variant, T), one by one so that sums round alike."""
         energies, residuals = [], []
         for variant, points in enumerate(positions):
-            one = targets.select([variant])
+            single = targets.select([variant])
             energies.append(total_energy(terms[variant], points))
-            missed = laplacian_residual(self.problem, one, points[None] - one.reference)[0]
+            missed = laplacian_residual(self.problem, single, points[None] - single.reference)[0]
             residuals.append((missed**2).sum(axis=-1).mean(axis=-1))
         return np.array(energies), np.array(residuals)

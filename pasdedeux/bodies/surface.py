@@ -95,14 +95,14 @@ def _blend(count: int, active: Integers, near: Array, power: Array, is_beside: F
         return least
     for at in range(count):
         power[at] = math.exp((least - near[active[at]]) / width)
-    found = least
+    distance = least
     for at in range(count):
         total = 0.0
         for other in range(count):
             if is_beside[active[at], active[other]]:
                 total += power[other]
-        found = min(found, near[active[at]] - width * math.log(total))
-    return found
+        distance = min(distance, near[active[at]] - width * math.log(total))
+    return distance
 
 
 @compiled()
@@ -213,8 +213,8 @@ def mesh_of(cones: Cones) -> tuple[Array, Integers, Array]:
         volume = volume.repeat(2, axis=axis)
     is_near = np.abs(volume) < _NEAR * voxel
     volume[is_near] = surface_field(low + voxel * np.argwhere(is_near), *shape)
-    found, faces, *_ = marching_cubes(volume, 0.0, gradient_direction="descent", allow_degenerate=False)
-    points = low + voxel * found.astype(np.float64)
+    vertices, faces, *_ = marching_cubes(volume, 0.0, gradient_direction="descent", allow_degenerate=False)
+    points = low + voxel * vertices.astype(np.float64)
     normals = carry_onto(points, *shape, voxel)
     return points, faces.astype(np.int64), normals
 

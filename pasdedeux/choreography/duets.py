@@ -80,8 +80,8 @@ def style_of(name: str, **style: object) -> Dance:
     except ValidationError as error:
         first = error.errors()[0]
         place, message = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
-        found = f"{place} is {first['input']}: " if place else ""
-        raise InputError(f"duet '{name}': {found}{message}") from None
+        prefix = f"{place} is {first['input']}: " if place else ""
+        raise InputError(f"duet '{name}': {prefix}{message}") from None
 
 
 @lru_cache

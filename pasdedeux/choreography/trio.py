@@ -67,9 +67,9 @@ class Trio(Dance):
         return [_clasp(figures, person, (person + 1) % len(figures), raised_m) for person in range(len(figures))]
 
 
-def _clasp(figures: Sequence[DancerFrames], one: int, other: int, raised_m: Array) -> Contact:
+def _clasp(figures: Sequence[DancerFrames], first: int, other: int, raised_m: Array) -> Contact:
     """Bring a left and a right wrist together between two shoulders, so that both arms are as straight."""
-    giver, taker = figures[one], figures[other]
+    giver, taker = figures[first], figures[other]
     shoulders = giver.joint("left_shoulder"), taker.joint("right_shoulder")
     across = (shoulders[1] - shoulders[0]) * [1.0, 0.0, 1.0]
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
@@ -80,4 +80,4 @@ def _clasp(figures: Sequence[DancerFrames], one: int, other: int, raised_m: Arra
     for figure, side, sign in ((giver, "left", 1.0), (taker, "right", -1.0)):
         pole = figure.chest_vector(0.6 * sign, -1.0, -0.5)
         figure.reach_hand(side, point - 0.5 * sign * apart_m * across, pole, palm=sign * across)
-    return Contact(BonePoint(one, "left_wrist"), BonePoint(other, "right_wrist"), apart_m)
+    return Contact(BonePoint(first, "left_wrist"), BonePoint(other, "right_wrist"), apart_m)

@@ -35,11 +35,11 @@ def lifted_errors(lifted_m: Array, truth_m: Array) -> dict[str, Array]:
     """
     flat, true = (merge_axes(pairs, 1, -1) for pairs in (lifted_m, truth_m))
     centred, centred_truth = flat - flat.mean(axis=1, keepdims=True), true - true.mean(axis=1, keepdims=True)
-    own, own_truth = (pairs - pairs[:, :, _ROOT : _ROOT + 1] for pairs in (lifted_m, truth_m))
+    about_root, own_truth = (pairs - pairs[:, :, _ROOT : _ROOT + 1] for pairs in (lifted_m, truth_m))
     between, between_truth = (pairs[:, 1, _ROOT] - pairs[:, 0, _ROOT] for pairs in (lifted_m, truth_m))
     return {
         "lifted_pair_error": np.linalg.norm(centred - centred_truth, axis=-1).mean(axis=-1),
-        "lifted_person_error": np.linalg.norm(own - own_truth, axis=-1).mean(axis=(-1, -2)),
+        "lifted_person_error": np.linalg.norm(about_root - own_truth, axis=-1).mean(axis=(-1, -2)),
         "lifted_D_C": cartesian_dissimilarity(flat, true),
         "person_distance_error": np.abs(np.linalg.norm(between, axis=-1) - np.linalg.norm(between_truth, axis=-1)),
         "relative_depth_error": np.abs(between[:, 2] - between_truth[:, 2]),

@@ -64,9 +64,9 @@ def fit_people(
     fitted = np.empty(pair_m.shape)
     for person in range(2):
         forest = BoneForest((PAIR17,), np.asarray(lengths_m[person], dtype=np.float64))
-        one = slice(person, person + 1)
-        terms = [PointTerm(targets_m[one], weights[one]), BoneVectorTerm(PAIR17, bones[one], bone_weight)]
-        fitted[person] = fit_bones(forest, forest.state_of(pair_m[one]), terms, _FIT).positions_m[0]
+        who = slice(person, person + 1)
+        terms = [PointTerm(targets_m[who], weights[who]), BoneVectorTerm(PAIR17, bones[who], bone_weight)]
+        fitted[person] = fit_bones(forest, forest.state_of(pair_m[who]), terms, _FIT).positions_m[0]
     return fitted
 
 

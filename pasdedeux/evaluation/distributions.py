@@ -32,17 +32,17 @@ def frechet_distance(one: Array, other: Array) -> float:
     return between + float(np.trace(first) + np.trace(second) - 2.0 * mixed)
 
 
-def kernel_distance(one: Array, other: Array) -> float:
+def kernel_distance(first: Array, other: Array) -> float:
     """Return the unbiased squared maximum mean discrepancy with kernel (x y / d + 1)^3 (Binkowski et al. 2018).
 
     Its mean over draws from the same distribution is 0, so it may be negative.  Each set needs two members.
     """
     within = [
         (matrix.sum() - np.trace(matrix)) / (len(found) * (len(found) - 1))
-        for found in (one, other)
+        for found in (first, other)
         for matrix in (_kernel(found, found),)
     ]
-    return float(sum(within) - 2.0 * _kernel(one, other).mean())
+    return float(sum(within) - 2.0 * _kernel(first, other).mean())
 
 
 def _kernel(left: Array, right: Array) -> Array:
@@ -65,16 +65,16 @@ def kernel_interval(
     return middle - reach, middle + reach
 
 
-def _jackknife_variance(found: Array, other: Array, units: Sequence[str]) -> float:
-    """Return the jackknife variance of the kernel distance over units of `found`, from sums over pairs made once."""
+def _jackknife_variance(features: Array, other: Array, units: Sequence[str]) -> float:
+    """Return the jackknife variance of the kernel distance over units of `features`, from sums over pairs made once."""
     unit = np.unique(np.asarray(units), return_inverse=True)[1]
     is_of = np.eye(unit.max() + 1)[unit]
-    pairs = _kernel(found, found)
+    pairs = _kernel(features, features)
     np.fill_diagonal(pairs, 0.0)
     of_unit = pairs @ is_of
-    left = len(found) - is_of.sum(axis=0)
+    left = len(features) - is_of.sum(axis=0)
     within = pairs.sum() - 2.0 * of_unit.sum(axis=0) + (is_of * of_unit).sum(axis=0)
-    across = _kernel(found, other).mean(axis=1)
+    across = _kernel(features, other).mean(axis=1)
     values = within / (left * (left - 1)) - 2.0 * (across.sum() - across @ is_of) / left
     return float((len(left) - 1) * values.var())
 

@@ -117,12 +117,12 @@ class CheckedMotion:
         Raises:
             InputError: The two have different numbers of frames or people, or other rates.
         """
-        own, its = (
+        made, its = (
             f"{one.num_frames} frames of {one.num_people} people at {one.rate_hz:g} Hz"
             for one in (self.source, original.source)
         )
-        if own != its:
-            raise InputError(f"it has {own}, its source {original.name} {its}: a variant has the frames of its source")
+        if made != its:
+            raise InputError(f"it has {made}, its source {original.name} {its}: a variant has the frames of its source")
         lengths, its_lengths = self.source.lengths_m, original.source.lengths_m
         scale = np.where(its_lengths > 0, lengths / np.maximum(its_lengths, 1e-9), 1.0)
         augmenter, positions_m = original._augmenter, self.source.positions_m

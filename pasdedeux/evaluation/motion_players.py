@@ -56,11 +56,11 @@ def reconstruction_player(
         has_floor: The floor, y = 0, is drawn, and people stay where they are on it.
     """
     frames, shown_hz = shown_frames(len(found_m), rate_hz)
-    found = about_hips(found_m[frames])
+    shown = about_hips(found_m[frames])
     panels, labels = [], []
     if keypoints_px is not None:
         seen = keypoints_px[frames] * [1.0, -1.0]
-        size = _height(found) / max(_height(seen), 1e-9)
+        size = _height(shown) / max(_height(seen), 1e-9)
         middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
         image = np.insert((seen - middle) * size, 2, 0.0, -1)
         if projected_px is None:
@@ -71,13 +71,13 @@ def reconstruction_player(
         panels.append(replace(panel, is_flat=True))
     truth = None if truth_m is None else about_hips(truth_m[frames])
     if truth is not None:
-        for frame, error in zip(frames, 100.0 * np.linalg.norm(found - truth, axis=-1), strict=True):
+        for frame, error in zip(frames, 100.0 * np.linalg.norm(shown - truth, axis=-1), strict=True):
             known = error[np.isfinite(error)]
             labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
     title = "reconstruction" if truth is None else "reconstruction, ground truth in grey"
     if has_floor:
-        found = found_m[frames] - np.nanmean(found_m[frames], axis=(0, 1, 2)) * [1.0, 0.0, 1.0]
-    panels.append(people_panel(title, OP14, found, truth_m=truth))
+        shown = found_m[frames] - np.nanmean(found_m[frames], axis=(0, 1, 2)) * [1.0, 0.0, 1.0]
+    panels.append(people_panel(title, OP14, shown, truth_m=truth))
     return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=has_floor)
 
 

@@ -34,7 +34,7 @@ def part_in_words(part: str) -> str:
 def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:
     """Return name, words and a sentence for each of these names that is known, sorted."""
     bases = sorted({_parts(name)[0] for name in names})
-    return tuple((base, *found) for base in bases if (found := _known(base)) is not None)
+    return tuple((base, *known) for base in bases if (known := _known(base)) is not None)
 
 
 def base_name(name: str) -> str:

@@ -112,8 +112,8 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
     return _without_all(replace(table, rows=tuple((in_words(metric), *rest) for metric, *rest in table.rows)))
 
 
-def _text(found: Sequence[Score]) -> str:
-    return format_score(found[-1])
+def _text(scores: Sequence[Score]) -> str:
+    return format_score(scores[-1])
 
 
 def _best(scores: Iterable[Score]) -> set[Score]:
@@ -142,13 +142,13 @@ def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False
             groups.setdefault((score.metric, score.split), {}).setdefault(score.method, []).append(score)
     rows, counts = [], set()
     for (metric, split), by_method in groups.items():
-        own = {
+        means = {
             method: [score for score in found if "mean of" in score.item] or found
             for method, found in by_method.items()
         }
-        count = max(len(found) for found in own.values())
+        count = max(len(found) for found in means.values())
         counts.add(count)
-        for found in own.values():
+        for found in means.values():
             # A method that is there for some items only is no mean over all of them.
             if len(found) == count:
                 value = weighted_mean((score.value, score.count) for score in found)

@@ -185,8 +185,8 @@ class Criterion:
     def verdict(self, items: Items, baselines: Collection[str]) -> Verdict | None:
         """Return the verdict on these items; None where no method is among them."""
         paired = items.paired(self.methods, baselines, is_larger_better=self.is_larger_better)
-        own = [one for one in items.values if one not in baselines and not is_bound(one)]
-        tried = [method for method in self.methods or own if method in items.values]
+        judged = [one for one in items.values if one not in baselines and not is_bound(one)]
+        tried = [method for method in self.methods or judged if method in items.values]
         if paired is None and items.takes and not tried:
             return None
         if paired is None or (not paired.sizes and not math.isnan(self.limit)):
@@ -210,12 +210,12 @@ class Criterion:
         scored wherever most were.  Bounds, which know the ground truth, are only in tables.  None where there is
         nothing to compare, as only baselines.
         """
-        found, counts, unit, plain = self._found(scores)
-        own = max((set(found[name]) for name in found if name not in plain), key=len, default=set())
-        tried = [own.intersection(found[name]) for name in sorted(plain)]
-        for shared in (*tried, max(map(set, found.values()), key=len, default=set())):
+        values, counts, unit, plain = self._found(scores)
+        own = max((set(values[name]) for name in values if name not in plain), key=len, default=set())
+        tried = [own.intersection(values[name]) for name in sorted(plain)]
+        for shared in (*tried, max(map(set, values.values()), key=len, default=set())):
             places = _apart(shared)
-            methods = [name for name in found if places and places.issubset(found[name])]
+            methods = [name for name in values if places and places.issubset(values[name])]
             if len(methods) >= (1 if math.isfinite(self.limit) else 2):
                 break
         else:
@@ -224,7 +224,7 @@ class Criterion:
             return None
         # Sorted: the mean of a set would depend on the order of its hashes.
         means = {
-            name: weighted_mean((found[name][one], counts[name][one]) for one in sorted(places)) for name in methods
+            name: weighted_mean((values[name][one], counts[name][one]) for one in sorted(places)) for name in methods
         }
         paired = None if verdict is None else verdict.paired
         judged = {} if paired is None else _means(paired)
@@ -278,11 +278,11 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     their most frequent reason, and means of figure and baseline over all things: of the figure that the reason is of.
     """
     every = list(verdicts)
-    found = _joined([one for one in every if one.count] or every[:1])
-    if len(found) < 2:
-        return found[0] if found else None
+    merged = _joined([one for one in every if one.count] or every[:1])
+    if len(merged) < 2:
+        return merged[0] if merged else None
     tally = Counter[tuple[Level, str]]()
-    for one in found:
+    for one in merged:
         for level, reason, count in one.tally or ((one.level, one.reason, 1),):
             tally[level, reason] += count
     worst = max((level for level, _ in tally), key=lambda level: level.rank)
@@ -290,7 +290,7 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     why = min(shared, key=lambda reason: (not reason, -shared[reason], reason))
     reason = why if worst is Level.PASS else f"{sum(shared.values())} of {tally.total()}: {why}"
     measured: dict[str, list[Verdict]] = {}
-    for one in found:
+    for one in merged:
         if one.figure and math.isfinite(one.value):
             measured.setdefault(one.figure, []).append(one)
     rows = tuple((level, reason, count) for (level, reason), count in sorted(tally.items()))

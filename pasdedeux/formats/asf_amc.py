@@ -109,8 +109,8 @@ class _Bone:
         if not self.name or not {"direction", "length", "axis"} <= self.keys:
             raise FormatError(f"{what} needs a name, a direction, a length and an axis")
         if self.length < 0 or (self.length > 0 and not 0.5 < norm < 2.0):
-            found = f"length {self.length:g} along a direction of length {norm:g}"
-            raise FormatError(f"{what} has {found}; allowed: 0 or more along one of length 1")
+            wrong = f"length {self.length:g} along a direction of length {norm:g}"
+            raise FormatError(f"{what} has {wrong}; allowed: 0 or more along one of length 1")
         self.direction = self.direction / norm if norm > 0 else self.direction
         if self.num_limits not in (0, 2 * len(self.dof)):
             raise FormatError(

@@ -54,13 +54,13 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
     for at in range(0, count, _PER_LIST):
         point.add(f"LABELS{at // _PER_LIST + 1 if at else ''}", list(labels[at : at + _PER_LIST]))
     point.add("DESCRIPTIONS", ["joint"] * min(count, _PER_LIST))
-    analog, own = _Group(2, "ANALOG"), _Group(3, "PASDEDEUX")
+    analog, own_group = _Group(2, "ANALOG"), _Group(3, "PASDEDEUX")
     analog.add("USED", np.array([0], "<i2"))
     analog.add("RATE", np.array([0.0], "<f4"))
     for name, text in facts.items():
-        own.add(name, [text[at : at + 120] for at in range(0, len(text), 120)])
-    parameters = bytearray(bytes(4) + point.data + analog.data + own.data)
-    parameters[-own.last : -own.last + 2] = bytes(2)  # the last parameter points to none
+        own_group.add(name, [text[at : at + 120] for at in range(0, len(text), 120)])
+    parameters = bytearray(bytes(4) + point.data + analog.data + own_group.data)
+    parameters[-own_group.last : -own_group.last + 2] = bytes(2)  # the last parameter points to none
     parameters += bytes(-len(parameters) % _BLOCK)
     first = 2 + len(parameters) // _BLOCK
     parameters[:4] = bytes([1, _MAGIC, len(parameters) // _BLOCK, _INTEL])

@@ -221,15 +221,17 @@ class AnnotationFormat(FileFormat):
             ((name, data),) = files.items()
             with named(name):
                 return self.read_file(data, sequence_id, layout)
-        found: list[Detection] = []
+        people_seen: list[Detection] = []
         skipped: list[str] = []
         numbers = self.frame_numbers(list(files))
         for number, (name, data) in zip(numbers, files.items(), strict=True):
             try:
                 people = self.read_people(data)
-                found += [replace(person, place=("", number), where=f"{name}: {person.where}") for person in people]
+                people_seen += [
+                    replace(person, place=("", number), where=f"{name}: {person.where}") for person in people
+                ]
             except FormatError as error:
                 if not skip_unreadable and (number < max(numbers) or len(files) == 1):
                     raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None
                 skipped.append(name)
-        return join_detections(found, sequence_id=sequence_id, layout=layout, skipped=skipped)
+        return join_detections(people_seen, sequence_id=sequence_id, layout=layout, skipped=skipped)

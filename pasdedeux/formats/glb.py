@@ -91,11 +91,11 @@ class _Buffer:
         self.data += bytes(-len(self.data) % 4)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes})
         self.data += np.ascontiguousarray(values).tobytes()
-        one = {"bufferView": len(self.views) - 1, "componentType": code, "count": len(values), "type": kind}
+        accessor = {"bufferView": len(self.views) - 1, "componentType": code, "count": len(values), "type": kind}
         if is_bounded:
             flat = values.reshape(len(values), -1)
-            one |= {"min": flat.min(axis=0).tolist(), "max": flat.max(axis=0).tolist()}
-        self.accessors.append(one)
+            accessor |= {"min": flat.min(axis=0).tolist(), "max": flat.max(axis=0).tolist()}
+        self.accessors.append(accessor)
         return len(self.accessors) - 1
 
 

@@ -48,22 +48,22 @@ def humanoid_motion(motion: Motion) -> Motion:
     return replace(ended, skeleton=HUMANOID)
 
 
-def write_npz(one: HumanoidMotion, **facts: Array) -> bytes:
+def write_npz(human: HumanoidMotion, **facts: Array) -> bytes:
     """Return a motion as an npz archive: as `write_motion_npz`, with `is_seen` (frame,), `first_frame`, and facts."""
     return write_motion_npz(
-        humanoid_motion(one.motion), axes=AXES, is_seen=one.is_seen, first_frame=one.first_frame, **facts
+        humanoid_motion(human.motion), axes=AXES, is_seen=human.is_seen, first_frame=human.first_frame, **facts
     )
 
 
-def units_text(one: HumanoidMotion, units: str) -> str:
+def units_text(human: HumanoidMotion, units: str) -> str:
     """Return a text to lie beside the files of a video: units, axes, joints."""
     return (
         f"BVH files are in {_SPELT[units]} and degrees, npz files in metres and unit quaternions (x, y, z, w).\n"
         f"Axes: {AXES}; the floor is at y = 0, z points to the camera of the video.\n"
         "The rest pose is a standing T-pose, joints have Mixamo's names without their prefix.\n"
-        f"All files have the same {one.motion.num_frames} frames at {one.motion.rate_hz:.6g} Hz, from frame "
-        f"{one.first_frame} of the video on; `is_seen` of the npz tells in which a person was seen, in the others the "
-        "pose is interpolated or, before and after, held.\n"
+        f"All files have the same {human.motion.num_frames} frames at {human.motion.rate_hz:.6g} Hz, from frame "
+        f"{human.first_frame} of the video on; `is_seen` of the npz tells in which a person was seen, in the others "
+        "the pose is interpolated or, before and after, held.\n"
         "`camera_...` of the npz and the camera of the GLB file are in the same axes; a camera looks along its own -z, "
         "x right, y up. Of film of a camera that moves they are those of its steady image, and `steady_from_image` "
         "(frame, 2, 3) takes pixels of each frame to it.\n"

@@ -166,11 +166,11 @@ def _is_random(words: Sequence[str]) -> bool:
     )
 
 
-def _only_slot(one: _Name) -> int:
+def _only_slot(name: _Name) -> int:
     """Return the number that counts in a name alone: that of a frame, else the last one that is no `@2x`."""
-    slots = range(len(one.numbers))
-    framed = [slot for slot in slots if _FRAME.search(one.texts[slot])]
-    usual = [slot for slot in slots if not one.texts[slot].endswith("@")]
+    slots = range(len(name.numbers))
+    framed = [slot for slot in slots if _FRAME.search(name.texts[slot])]
+    usual = [slot for slot in slots if not name.texts[slot].endswith("@")]
     return (framed or usual or [*slots])[-1]
 
 
@@ -254,8 +254,8 @@ def _is_sparse(parsed: Sequence[_Name], frames: Sequence[int]) -> bool:
 
 
 def _stills(parsed: Sequence[_Name]) -> dict[str, Place]:
-    def natural(one: _Name) -> tuple[str, tuple[str, ...], tuple[int, ...], str]:
-        return one.folder, one.template, tuple(map(one.value, range(len(one.numbers)))), one.name
+    def natural(part: _Name) -> tuple[str, tuple[str, ...], tuple[int, ...], str]:
+        return (part.folder, part.template, tuple(map(part.value, range(len(part.numbers)))), part.name)
 
     ranks = {name.name: rank for rank, name in enumerate(sorted(parsed, key=natural))}
     return {name.name: ("", STILLS_STEP * ranks[name.name]) for name in parsed}

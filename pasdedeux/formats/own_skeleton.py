@@ -235,11 +235,11 @@ class OwnSkeleton:
         Variants have bones of constant length, the source's median ones; by what the source's own body22 differs from
         those - where a joint of it lies between joints that move - the positions are put right first.
         """
-        own = self.body.of(self.motion)
-        lengths = np.median(bone_lengths(BODY22, own), axis=0)
-        constant = place_bones(BODY22, own[:, BODY22.root], bone_directions(BODY22, own), lengths)
+        moved = self.body.of(self.motion)
+        lengths = np.median(bone_lengths(BODY22, moved), axis=0)
+        constant = place_bones(BODY22, moved[:, BODY22.root], bone_directions(BODY22, moved), lengths)
         offset = self.body.offset_m * bone_scale[:, None, None]
-        return OwnSkeleton(self.posed(body22_m + own - constant, bone_scale), BodyMap(self.body.weight, offset))
+        return OwnSkeleton(self.posed(body22_m + moved - constant, bone_scale), BodyMap(self.body.weight, offset))
 
     def _exact_before(self, joint: int) -> int:
         """Return the joint of body22 above another, for an exact one the nearest exact one, if there is any."""
@@ -294,40 +294,42 @@ class OwnSkeleton:
         return end in self._below[source] or (end == source and is_carried)
 
 
-def standing(own: OwnSkeleton) -> OwnSkeleton:
+def standing(made: OwnSkeleton) -> OwnSkeleton:
     """Return the same motion with rotations from a standing T-pose: upright, facing +Z, arms out along X.
 
     Every joint j gets a rest frame Q_j, that of the source's rest pose when it is made to stand: offsets become
     Q_parent offset, world rotations W_j become W_j Q_j^-1.  So joints lie where they did, and W_j is what it was for
     whoever counts from the source's rest pose.
     """
-    motion, skeleton = own.motion, own.motion.skeleton
-    rest = own.rest_body22_m
+    motion, skeleton = made.motion, made.motion.skeleton
+    rest = made.rest_body22_m
     directions = bone_directions(BODY22, np.array([t_pose(joint) for joint in BODY22.joint_names]))
     wanted = place_bones(BODY22, np.zeros(3), directions, bone_lengths(BODY22, rest))
     trunk, its = rest[_TRUNK] - rest[_TRUNK].mean(axis=0), wanted[_TRUNK] - wanted[_TRUNK].mean(axis=0)
     local = identity_unitquat(1, skeleton.num_joints)
     local[:, skeleton.root] = unitquat_from_rotmat(best_rotation(trunk, its))
     upright = replace(motion, root_translation_m=np.zeros((1, 3)), local_unitquat=local)
-    stood = OwnSkeleton(upright, own.body).posed(wanted[None], np.ones(BODY22.num_joints), meets_tips=False)
+    stood = OwnSkeleton(upright, made.body).posed(wanted[None], np.ones(BODY22.num_joints), meets_tips=False)
     frames = stood.world()[1][0]
     offsets = np.array(motion.rest_offsets_m)
     for parent, child in skeleton.bones:
         offsets[child] = rotate(frames[parent], offsets[child])
     world = motion.world()[1]
     turned = multiply(world, np.broadcast_to(conjugate(frames), world.shape))
-    carried = rotate(np.broadcast_to(frames, (BODY22.num_joints, *frames.shape)), own.body.offset_m)
+    carried = rotate(np.broadcast_to(frames, (BODY22.num_joints, *frames.shape)), made.body.offset_m)
     return OwnSkeleton(
         replace(motion, rest_offsets_m=offsets, local_unitquat=local_from_world(skeleton, turned)),
-        BodyMap(own.body.weight, carried),
+        BodyMap(made.body.weight, carried),
     )
 
 
-def with_end_sites(own: OwnSkeleton) -> OwnSkeleton:
+def with_end_sites(made: OwnSkeleton) -> OwnSkeleton:
     """Return the same with End Sites, see `ended`."""
-    motion = ended(own.motion)
-    padding = ((0, 0), (0, motion.skeleton.num_joints - own.motion.skeleton.num_joints))
-    return OwnSkeleton(motion, BodyMap(np.pad(own.body.weight, padding), np.pad(own.body.offset_m, (*padding, (0, 0)))))
+    motion = ended(made.motion)
+    padding = ((0, 0), (0, motion.skeleton.num_joints - made.motion.skeleton.num_joints))
+    return OwnSkeleton(
+        motion, BodyMap(np.pad(made.body.weight, padding), np.pad(made.body.offset_m, (*padding, (0, 0))))
+    )
 
 
 def ended(motion: Motion) -> Motion:

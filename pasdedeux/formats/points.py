@@ -335,12 +335,12 @@ def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:
     images = ["/".join(filter(None, words)) for words, _, _ in read]
     places = {} if all(map(str.isdigit, images)) else places_of_names(images)
     frames = [str(places[image][1]) if places else image for image in images]
-    found = []
+    named_rows = []
     for frame, (_, row, number) in zip(frames, read, strict=True):
         if len(row) != len(header):
             raise FormatError(f"row {number} has {counted(len(row), 'value')} where {len(header)} are needed")
-        found.append({"frame": frame, **dict(zip(header, row, strict=True))})
-    return ["frame", *header], found
+        named_rows.append({"frame": frame, **dict(zip(header, row, strict=True))})
+    return ["frame", *header], named_rows
 
 
 def _columns_by_landmark(header: Sequence[str]) -> dict[str, dict[str, tuple[str, str, str | None]]]:

@@ -378,8 +378,8 @@ def _parameters(
 ) -> SmplMotion:
     """Return the parameters of local rotations (frame, J, 4), Y up, with the pelvis where it should be."""
     rest, pelvis = model.rest_m(betas), body22_m[:, BODY22.root]
-    found, _ = forward_kinematics(model.skeleton, model.offsets_m(rest), pelvis, local)
-    away_m = np.linalg.norm(found[:, model.skeleton.indices(BODY22.joint_names)] - body22_m, axis=-1)
+    posed, _ = forward_kinematics(model.skeleton, model.offsets_m(rest), pelvis, local)
+    away_m = np.linalg.norm(posed[:, model.skeleton.indices(BODY22.joint_names)] - body22_m, axis=-1)
     down = np.broadcast_to(conjugate(upright_from_file(up_axis)), (len(local), 4))
     local[:, 0] = multiply(down, local[:, 0])
     return SmplMotion(rotvec_from_unitquat(local), rotate(down, pelvis) - rest[0], betas, misfit, away_m)

@@ -81,15 +81,15 @@ class BodyFit:
     num_guessed: int
 
 
-def body_of_skeleton(name: str, own: OwnSkeleton, layout: str) -> TargetBody:
+def body_of_skeleton(name: str, own_skeleton: OwnSkeleton, layout: str) -> TargetBody:
     """Return the body of a motion file's skeleton, whose joints a layout names.
 
     Layouts put pelvis and spine at places of their own, so between people of different ones a trunk is measured by how
     broad and long it is, limbs bone by bone.
     """
     with named(name):
-        body = _of_positions(name, standing(own).rest_body22_m[None], BODY22.joint_names, layout)
-    lengths = bone_lengths(BODY22, own.rest_body22_m)
+        body = _of_positions(name, standing(own_skeleton).rest_body22_m[None], BODY22.joint_names, layout)
+    lengths = bone_lengths(BODY22, own_skeleton.rest_body22_m)
     return replace(body, bones_m={bone: float(lengths[bone[1]]) for bone in BODY22.bones})
 
 
@@ -109,7 +109,7 @@ def read_body(name: str, data: bytes) -> TargetBody:
             return TargetBody(name, _distances_of_table(lines))
 
 
-def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: str, who: str) -> BodyFit:
+def fit_body(target: TargetBody, own_skeleton: OwnSkeleton, lengths_m: Array, *, layout: str, who: str) -> BodyFit:
     """Return the bone scales with which a person has a body's distances.
 
     Least squares (Gauss-Newton) over the scales of 21 bones, the person standing in a T-pose; bones of which nothing is
@@ -117,12 +117,12 @@ def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: 
 
     Args:
         target: The body.
-        own: The person.
+        own_skeleton: The person.
         lengths_m: The person's bones (22,), metres.
         layout: Layout of the person's joints.
         who: Who it is, for messages.
     """
-    directions = bone_directions(BODY22, standing(own).rest_body22_m)
+    directions = bone_directions(BODY22, standing(own_skeleton).rest_body22_m)
     asked = target.of(layout)
     pairs, wanted = np.array(list(asked)), np.array(list(asked.values()))
     chains = np.zeros((BODY22.num_joints, BODY22.num_joints))  # of joint i, 1 for the bones between it and the root

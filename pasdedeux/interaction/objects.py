@@ -76,28 +76,28 @@ def _of_arrays(data: bytes) -> MovingObjects:
 
 
 def _of_table(data: bytes) -> MovingObjects:
-    found: dict[tuple[int, str], list[float]] = {}
+    by_object: dict[tuple[int, str], list[float]] = {}
     with Lines(data, "table of objects") as lines:
         for row in lines.table(_COLUMNS)[1]:
             key = parse_integer(row["frame"], "frame"), row["name"]
-            if key in found:
+            if key in by_object:
                 raise FormatError(f"frame {key[0]} of '{key[1]}' is there twice")
-            found[key] = [parse_number(row[name], name) for name in (*_ENDS, "radius_m")]
-    names = tuple(dict.fromkeys(name for _, name in found))
-    frames = 1 + max((frame for frame, _ in found), default=-1)
+            by_object[key] = [parse_number(row[name], name) for name in (*_ENDS, "radius_m")]
+    names = tuple(dict.fromkeys(name for _, name in by_object))
+    frames = 1 + max((frame for frame, _ in by_object), default=-1)
     # The first that is missing comes soon, however large a frame number is.
     all_of_them = ((frame, name) for frame in range(frames) for name in names)
-    missing_key = next((key for key in all_of_them if key not in found), None)
+    missing_key = next((key for key in all_of_them if key not in by_object), None)
     if missing_key:
         raise FormatError(
             f"frame {missing_key[0]} of '{missing_key[1]}' is missing; needed are all from 0 to {frames - 1}"
         )
-    values = np.array([[found[frame, name] for name in names] for frame in range(frames)])
+    values = np.array([[by_object[frame, name] for name in names] for frame in range(frames)])
     values = values.reshape(frames, len(names), 7)
     radii = np.median(values[..., 6], axis=0) if frames else np.zeros(0)
     if (values[..., 6] != radii).any():
-        frame, one = np.argwhere(values[..., 6] != radii)[0]
-        raise FormatError(f"frame {frame}: the radius of '{names[one]}' changes; objects keep their size")
+        frame, index = np.argwhere(values[..., 6] != radii)[0]
+        raise FormatError(f"frame {frame}: the radius of '{names[index]}' changes; objects keep their size")
     return _checked(names, values[..., :6].reshape(frames, len(names), 2, 3), radii)
 
 

@@ -128,14 +128,14 @@ def _beside(pairs: tuple[tuple[int, int], ...], side: int, end: int, skeleton: S
     """Return which pairs have a next bone, at the beginning (0) or end of the pair's, and the pair itself (pair, k)."""
     joints, places = skeleton.num_joints, {pair: place for place, pair in enumerate(pairs)}
     meeting = [[edge[1] for edge in skeleton.bones if joint in edge] for joint in range(joints)]
-    found = []
+    beside = []
     for pair in places:
         person, child = divmod(pair[side], joints)
         joint = child if end else skeleton.parents[child]
         others = (person * joints + bone for bone in (meeting[joint] if person >= 0 else [child]))
-        found.append(
+        beside.append(
             [places[other] for other in ((pair[0], b) if side else (b, pair[1]) for b in others) if other in places]
         )
-    most = max(map(len, found), default=1)
-    filled = [[*rows, *[place] * (most - len(rows))] for place, rows in enumerate(found)]
+    most = max(map(len, beside), default=1)
+    filled = [[*rows, *[place] * (most - len(rows))] for place, rows in enumerate(beside)]
     return np.array(filled, dtype=np.int64).reshape(-1, most)

@@ -65,9 +65,9 @@ def joint_errors(predicted: Array, true: Array) -> tuple[Array, Array]:
     true one by the rigid motion that fits best (Kabsch 1976), so it is of poses alone, not of where people are.
     """
     jme = np.linalg.norm(predicted - true, axis=-1).mean(axis=(-2, -1))
-    one, other = (motion - motion.mean(axis=-2, keepdims=True) for motion in (predicted, true))
-    left, _, right = np.linalg.svd(np.swapaxes(one, -1, -2) @ other)
+    first, other = (motion - motion.mean(axis=-2, keepdims=True) for motion in (predicted, true))
+    left, _, right = np.linalg.svd(np.swapaxes(first, -1, -2) @ other)
     sign = np.sign(np.linalg.det(left @ right))
     left[..., :, -1] *= sign[..., None]
-    ame = np.linalg.norm(one @ (left @ right) - other, axis=-1).mean(axis=(-2, -1))
+    ame = np.linalg.norm(first @ (left @ right) - other, axis=-1).mean(axis=(-2, -1))
     return 100.0 * jme, 100.0 * ame

@@ -66,8 +66,8 @@ class KeyFrames:
 
     def bone_scale(self, source: Source) -> Array:
         """Return the scales (J,) of B's bones: median lengths of the key frames over the take's; 1 for the root."""
-        lengths, own = np.median(bone_lengths(source.skeleton, self.positions_m), axis=0), source.lengths_m[1]
-        return np.where(own > 0.0, lengths / np.where(own > 0.0, own, 1.0), 1.0)
+        lengths, before = (np.median(bone_lengths(source.skeleton, self.positions_m), axis=0), source.lengths_m[1])
+        return np.where(before > 0.0, lengths / np.where(before > 0.0, before, 1.0), 1.0)
 
     def bend(self, motion_m: Array, rate_hz: float) -> Array:
         """Return a motion of B (T, J, 3), metres, that goes through the key frames.

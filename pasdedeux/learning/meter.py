@@ -241,7 +241,7 @@ class ModelMeter:
             return sum(total_energy(term, points[window]) for window, term in zip(windows, terms, strict=True))
 
         least = energy(true_m)
-        found: dict[str, dict[str, float]] = {}
+        measured: dict[str, dict[str, float]] = {}
         for name, motion in {**predicted_m, SOLVER: true_m}.items():
             points = points_of(motion)
             quality, _ = self._quality.measure(
@@ -252,7 +252,7 @@ class ModelMeter:
                 squared_residual=np.zeros(len(points)),
             )
             errors = {} if name == SOLVER else model_errors(motion, true_m, self.keys)
-            found[name] = errors | {
+            measured[name] = errors | {
                 **self._contact_errors(motion),
                 "energy_gap": 100.0 * (energy(motion) / max(least, 1e-12) - 1.0),
                 **{
@@ -260,18 +260,18 @@ class ModelMeter:
                     for quantity in OF_QUALITY
                 },
             }
-        return found
+        return measured
 
     def measure_generated(
         self, models: Mapping[str, VariantModel], streams: Callable[[str], np.random.Generator]
     ) -> dict[str, dict[str, float]]:
         """Return E_b and JPD of `generated`, means where there are several; see `generated_errors`."""
-        source, found = self._request.source, {}
+        source, measured = self._request.source, {}
         for name, made in generated(models, self._request, streams).items():
             template = (source.positions_m, self.keys, source.skeleton)
             rows = [generated_errors(motion, scale, *template) for scale, motion in made]
-            found[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
-        return found
+            measured[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
+        return measured
 
     def _contact_errors(self, motion_m: Array) -> dict[str, float]:
         """Return how far a motion's contacts are from their distance in the source; NaN where nothing is in contact."""

@@ -130,10 +130,10 @@ class WindowVae(VariantModel):
         model = cls(options, known, cls.build(options, known))
 
         def draw() -> tuple[Mapping[str, Narrow], str]:
-            found = [whole[index] for index in generator.integers(len(whole), size=options.windows_per_step)]
-            batch = model.batch(found, [int(generator.integers(len(window.variants_m))) for window in found])
-            batch |= model._noise(len(found), longest, generator)
-            return batch, "takes " + ", ".join(sorted({window.take_id for window in found}))
+            chosen = [whole[index] for index in generator.integers(len(whole), size=options.windows_per_step)]
+            batch = model.batch(chosen, [int(generator.integers(len(window.variants_m))) for window in chosen])
+            batch |= model._noise(len(chosen), longest, generator)
+            return batch, "takes " + ", ".join(sorted({window.take_id for window in chosen}))
 
         fixed = np.random.default_rng(0)
         seen = [
@@ -160,12 +160,12 @@ class WindowVae(VariantModel):
         wanted = batch["motion_m"] - batch["template_m"]
         count, num_frames = wanted.shape[:2]
         mean, drawn = (self._noise(count, num_frames, source) for source in (None, np.random.default_rng(1)))
-        found = {}
+        losses = {}
         for kind, noise in {"": mean, "prior_": drawn, "posterior_": mean}.items():
             moved = self.network.displacement({**batch, **noise}, is_posterior=kind == "posterior_")
-            found[f"validation_{kind}error_cm"] = 100.0 * float(np.linalg.norm(moved - wanted, axis=-1).mean())
-        found["validation_copy_error_cm"] = 100.0 * float(np.linalg.norm(wanted, axis=-1).mean())
-        return found | self.figures({**batch, **drawn})
+            losses[f"validation_{kind}error_cm"] = 100.0 * float(np.linalg.norm(moved - wanted, axis=-1).mean())
+        losses["validation_copy_error_cm"] = 100.0 * float(np.linalg.norm(wanted, axis=-1).mean())
+        return losses | self.figures({**batch, **drawn})
 
     def config(self) -> Config:
         """Return the settings."""
@@ -255,8 +255,8 @@ class WindowVae(VariantModel):
         moved = blend(source, windows, iter(self.network.displacement(batch)))
         if key_frames is None:
             return moved
-        own = source.positions_m[:, person]
-        bent = key_frames.bend(own + moved[:, person], source.rate_hz) - own
+        person_m = source.positions_m[:, person]
+        bent = key_frames.bend(person_m + moved[:, person], source.rate_hz) - person_m
         seen = bent[sampled_frames(source)]
         batch["moved_b"] = np.stack([seen[window.frames] @ window.axes for window in windows]).astype(np.float32)
         moved = blend(source, windows, iter(self.network.displacement(batch)))

@@ -114,13 +114,13 @@ def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, i
     return _TrackEnd(int(frame[-1 if is_last else 0]), np.median(middle, axis=0), speed, float(size))
 
 
-def _nearest(found: Sequence[Break]) -> list[Break]:
+def _nearest(breaks: Sequence[Break]) -> list[Break]:
     """Return each person's nearest, by rising distance; where others could be either of them, it is not clear."""
     broken: list[Break] = []
-    for one in found:
+    for one in breaks:
         if any(one.before == other.before or one.after == other.after for other in broken):
             continue
-        rivals = [other for other in found if other.before == one.before or other.after == one.after]
+        rivals = [other for other in breaks if other.before == one.before or other.after == one.after]
         broken.append(one if len(rivals) == 1 else Break(one.before, one.after, one.first_frame, one.last_frame, False))
     return broken
 

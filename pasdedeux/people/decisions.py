@@ -49,8 +49,8 @@ class Decision:
     @classmethod
     def from_words(cls, row: str) -> Decision:
         """Return the one that `in_words` gave."""
-        (one,) = read_decisions(f"{','.join(COLUMNS)}\n{row}")
-        return one
+        (decision,) = read_decisions(f"{','.join(COLUMNS)}\n{row}")
+        return decision
 
     def in_words(self) -> str:
         """Return it as its row says it."""
@@ -68,7 +68,7 @@ class Decision:
 
 def read_decisions(data: bytes | str) -> list[Decision]:
     """Read the table."""
-    found: list[Decision] = []
+    decisions: list[Decision] = []
     with Lines(data, "table of people") as lines:
         for row in lines.table(COLUMNS, (*COLUMNS, PARTNER))[1]:
             first, last, person = (parse_integer(row[name], name) for name in COLUMNS[1:4])
@@ -76,16 +76,16 @@ def read_decisions(data: bytes | str) -> list[Decision]:
             if last < first:
                 raise FormatError(f"frames {first} to {last} end before they begin")
             partner = parse_integer(row[PARTNER], PARTNER) if row.get(PARTNER) else None
-            one = Decision(from_cell(row["sequence"]), first, last, person, is_person, partner)
-            for other in found:
-                is_same = (other.sequence_id, other.person) == (one.sequence_id, one.person)
+            decision = Decision(from_cell(row["sequence"]), first, last, person, is_person, partner)
+            for other in decisions:
+                is_same = (other.sequence_id, other.person) == (decision.sequence_id, decision.person)
                 if is_same and other.first_frame <= last and first <= other.last_frame:
                     raise FormatError(
-                        f"person {person} of '{shorten(one.sequence_id)}' is named twice in frame "
+                        f"person {person} of '{shorten(decision.sequence_id)}' is named twice in frame "
                         f"{max(first, other.first_frame)}"
                     )
-            found.append(one)
-    return found
+            decisions.append(decision)
+    return decisions
 
 
 def check_sequences(decisions: Sequence[Decision], known: Collection[str]) -> None:

@@ -181,11 +181,11 @@ def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_
         frames = np.flatnonzero(is_seen[:, point])
         if len(frames) < 3:
             continue
-        places, own = keypoints_px[frames, point] / size_px[frames, None], trust[frames, point]
+        places, point_trust = keypoints_px[frames, point] / size_px[frames, None], trust[frames, point]
         speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(frames) * rate_hz
-        speed = speed[(own[1:] >= MIN_TRUST) & (own[:-1] >= MIN_TRUST)]
+        speed = speed[(point_trust[1:] >= MIN_TRUST) & (point_trust[:-1] >= MIN_TRUST)]
         usual = _USUAL_SPEEDS * float(np.quantile(speed, _USUAL_QUANTILE)) if len(speed) else np.inf
-        kept = _kept(frames, places, min(usual, _SPEED_PER_S) / rate_hz, reach, _MASK_COST * own)
+        kept = _kept(frames, places, min(usual, _SPEED_PER_S) / rate_hz, reach, _MASK_COST * point_trust)
         is_wild[frames[~kept], point] = True
     return is_wild
 

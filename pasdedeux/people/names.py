@@ -53,20 +53,20 @@ def partners_of(paths: Iterable[PurePath]) -> list[tuple[PurePath, ...]]:
     [['60_1.bvh', '61_1.bvh'], ['60_2.bvh']]
     """
     parts = {path: _parts(path) for path in sorted(paths)}
-    found: list[list[PurePath]] = []
+    partners: list[list[PurePath]] = []
     for at in range(max(map(len, parts.values()), default=0)):
         for group in _differing(parts, -1 - at):
             if len(group) > 1 and all(_PERSON.fullmatch(parts[path][-1 - at]) for path in group):
-                found.append(group)
+                partners.append(group)
                 parts = {path: own for path, own in parts.items() if path not in group}
     while parts:
         folder, length = next((path.parent, len(own)) for path, own in parts.items())
         same = {path: own for path, own in parts.items() if (path.parent, len(own)) == (folder, length)}
         ways = [_differing(same, at) for at in range(length)] or [[[path] for path in same]]
         likeliest = min(ways, key=_likelihood)
-        found += likeliest
+        partners += likeliest
         parts = {path: own for path, own in parts.items() if path not in same}
-    return sorted(map(tuple, found))
+    return sorted(map(tuple, partners))
 
 
 def take_name(files: Sequence[PurePath]) -> str:

@@ -88,11 +88,11 @@ def repair_rows(
 
 def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:
     """Return for each keypoint the joint of op14 that it moves with, -1 for none, and its mirrored keypoint."""
-    names, own = layout.keypoint_names, _own_joints(layout)
+    names, own_joints = layout.keypoint_names, _own_joints(layout)
     joints = []
     for keypoint, name in enumerate(names):
         side, _, part = name.partition("_")
-        joint = own.get(name, f"{side}_{_MOVES_WITH[part]}" if part in _MOVES_WITH else "")
+        joint = own_joints.get(name, f"{side}_{_MOVES_WITH[part]}" if part in _MOVES_WITH else "")
         other = {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
         joints.append((OP14.index(joint) if joint else -1, names.index(other) if other in names else keypoint))
     return joints

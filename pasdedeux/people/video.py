@@ -62,11 +62,11 @@ def why_not_followed(frame: Integers, keypoints_px: Array, confidence: Array, *,
     by_frame = np.split(people, np.flatnonzero(np.diff(frame[people])) + 1)
     steps = []
     for step in evenly_spread(len(by_frame) - 1, _MAX_STEPS).tolist():
-        one, other = by_frame[step][:, None], by_frame[step + 1][None]
-        both = is_seen[one] & is_seen[other]
-        apart = np.linalg.norm(keypoints_px[one] - keypoints_px[other], axis=-1)
+        before, other = by_frame[step][:, None], by_frame[step + 1][None]
+        both = is_seen[before] & is_seen[other]
+        apart = np.linalg.norm(keypoints_px[before] - keypoints_px[other], axis=-1)
         count = both.sum(axis=-1)
-        share = np.sort(np.where(both, apart, np.inf), axis=-1) / np.maximum(size[one], size[other])[..., None]
+        share = np.sort(np.where(both, apart, np.inf), axis=-1) / np.maximum(size[before], size[other])[..., None]
         middle = np.take_along_axis(share, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
         if (count >= MIN_JOINTS).any():
             steps.append(float(middle[count >= MIN_JOINTS].min()))

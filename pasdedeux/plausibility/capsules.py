@@ -170,18 +170,18 @@ def pair_penetration(
         total = 0.0
         points, radius, size = people[person], radii[person], half[person]
         for row in range(within.shape[0]):
-            one, other = within[row, 0], within[row, 1]
-            reach, halves = radius[one] + radius[other], size[one] + size[other]
-            total += _depth(points, parents[one], one, points, parents[other], other, reach, halves)
+            first, other = within[row, 0], within[row, 1]
+            reach, halves = radius[first] + radius[other], size[first] + size[other]
+            total += _depth(points, parents[first], first, points, parents[other], other, reach, halves)
         out[person] = total
     total = 0.0
     for a in range(count):
         for b in range(a + 1, count):
             for row in range(between.shape[0]):
-                one, other = between[row, 0], between[row, 1]
-                reach = radii[a, one] + radii[b, other]
-                halves = half[a, one] + half[b, other]
-                total += _depth(people[a], parents[one], one, people[b], parents[other], other, reach, halves)
+                first, other = between[row, 0], between[row, 1]
+                reach = radii[a, first] + radii[b, other]
+                halves = half[a, first] + half[b, other]
+                total += _depth(people[a], parents[first], first, people[b], parents[other], other, reach, halves)
     out[count] = total
     everything = 0.0
     for part in range(count + 1):

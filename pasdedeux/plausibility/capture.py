@@ -350,11 +350,11 @@ def _skate(feet_m: Array, step: int) -> float:
     return float(np.median(stillest[carries])) if carries.any() else 0.0
 
 
-def _difference(one: Array, other: Array) -> float:
+def _difference(first: Array, other: Array) -> float:
     """Return how far the poses (frame, joint, 3) of two people differ, turned about y; 95th percentile of frames."""
-    one, other = one - one[:, :1], other - other[:, :1]
-    a, b = one[..., 0] + 1j * one[..., 2], other[..., 0] + 1j * other[..., 2]
+    first, other = first - first[:, :1], other - other[:, :1]
+    a, b = first[..., 0] + 1j * first[..., 2], other[..., 0] + 1j * other[..., 2]
     turn = (a * b.conj()).sum(axis=1, keepdims=True)
     turn /= np.maximum(np.abs(turn), 1e-12)
-    squared = np.abs(a - turn * b) ** 2 + (one[..., _UP] - other[..., _UP]) ** 2
+    squared = np.abs(a - turn * b) ** 2 + (first[..., _UP] - other[..., _UP]) ** 2
     return float(np.percentile(np.sqrt(squared.mean(axis=1)), 95.0))

@@ -94,12 +94,12 @@ class ProjectionIndex:
         query, weight = prepare_query(query_m, weights, num_joints=joints)
         flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, joints, 2), 1, 2)).reshape(-1, 2 * joints)
         flat_weight = np.ascontiguousarray(weight.reshape(-1, joints))
-        found, summed = search_tree(self.tree, flat_query, flat_weight, num_neighbours=num_neighbours)
+        rows, summed = search_tree(self.tree, flat_query, flat_weight, num_neighbours=num_neighbours)
         total = flat_weight.sum(axis=1, dtype=np.float64)[:, None]
         distance = np.full(summed.shape, np.inf)
         np.divide(summed.astype(np.float64), total, out=distance, where=total > 0)
         shape = (*query.shape[:-2], num_neighbours)
-        return Neighbours(found.reshape(shape), distance.reshape(shape), self.num_yaws)
+        return Neighbours(rows.reshape(shape), distance.reshape(shape), self.num_yaws)
 
 
 def build_index(database: Database) -> ProjectionIndex:

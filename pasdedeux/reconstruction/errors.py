@@ -38,8 +38,8 @@ def root_removed_error_m(found_m: Array, true_m: Array) -> Array:
 
     The root's rotation is the frame of the body: up from mid-hip to neck, left from hips and shoulders.
     """
-    found, true = _without_root_rotation(_centred(found_m)), _without_root_rotation(_centred(true_m))
-    return np.asarray(np.linalg.norm(found - true, axis=-1).mean(axis=-1))
+    made, true = _without_root_rotation(_centred(found_m)), _without_root_rotation(_centred(true_m))
+    return np.asarray(np.linalg.norm(made - true, axis=-1).mean(axis=-1))
 
 
 def scale_free_error_m(found_m: Array, true_m: Array) -> Array:
@@ -47,10 +47,10 @@ def scale_free_error_m(found_m: Array, true_m: Array) -> Array:
 
     One camera does not see how large a person is, so the size of a body is no part of this error.
     """
-    found, true = _centred(found_m), _centred(true_m)
-    power = float(np.sum(found**2))
-    scale = float(np.sum(found * true)) / power if power > 0 else 1.0
-    return np.asarray(np.linalg.norm(scale * found - true, axis=-1).mean(axis=-1))
+    made, true = _centred(found_m), _centred(true_m)
+    power = float(np.sum(made**2))
+    scale = float(np.sum(made * true)) / power if power > 0 else 1.0
+    return np.asarray(np.linalg.norm(scale * made - true, axis=-1).mean(axis=-1))
 
 
 def jitter_m(positions_m: Array) -> float:
@@ -73,11 +73,11 @@ def foot_slide_m(found_m: Array, true_m: Array, *, rate_hz: float) -> float:
         rate_hz: Frames per second.
     """
     ankles = OP14.indices(["left_ankle", "right_ankle"])
-    found, true = found_m[:, ankles], true_m[:, ankles]
+    made, true = found_m[:, ankles], true_m[:, ankles]
     if len(true) < 2:
         return 0.0
     is_low = true[..., 1] < true[..., 1].min(axis=0) + _STANDING_M
     is_still = np.linalg.norm(np.diff(true, axis=0), axis=-1) * rate_hz < _STILL_M_S
-    displacement = np.linalg.norm(np.diff(found, axis=0)[..., [0, 2]], axis=-1)
+    displacement = np.linalg.norm(np.diff(made, axis=0)[..., [0, 2]], axis=-1)
     stands = is_low[1:] & is_low[:-1] & is_still & np.isfinite(displacement)
     return float(displacement[stands].mean()) if stands.any() else 0.0

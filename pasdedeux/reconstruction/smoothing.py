@@ -68,10 +68,16 @@ class OneEuroFilter:
         if self._value is None:
             self._value, self._velocity = np.array(value, dtype=np.float64), np.zeros((len(value), 3))
         else:
-            one = self._parameters
+            options = self._parameters
             rate = self._rate_hz / max(frame - self._frame, 1)
             self._value, self._velocity = _filter(
-                self._value, self._velocity, value, rate, one.min_cutoff_hz, one.beta, one.derivative_cutoff_hz
+                self._value,
+                self._velocity,
+                value,
+                rate,
+                options.min_cutoff_hz,
+                options.beta,
+                options.derivative_cutoff_hz,
             )
         self._frame = frame
         return self._value

@@ -122,13 +122,13 @@ def see(motion: UnseenMotion, condition: Condition, yaw_deg: float, rng: np.rand
     return ViewedMotion(Track(px, np.where(hidden, 0.0, 1.0), motion.rate_hz, Lens(_FAR_PX, (0.0, 0.0))), truth)
 
 
-def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
+def best_candidates(searcher: Searcher, matches: Matches, truth_m: Array) -> Array:
     """Return for each frame the candidate (frame, 14, 3) nearest to ground truth (frame, 14, 3): a bound, not a method.
 
     Candidates are on the reference body.  Frames without candidates have NaN.
     """
-    neighbours = found.neighbours
-    poses = searcher.database.turned(np.maximum(neighbours.row, 0), found.yaw_steps)
+    neighbours = matches.neighbours
+    poses = searcher.database.turned(np.maximum(neighbours.row, 0), matches.yaw_steps)
     poses = np.einsum("ij,...nj->...ni", searcher.database.camera.camera_from_upright_rotmat, poses)
     centred = truth_m - mid_hip(truth_m)[:, None]
     error = np.linalg.norm(poses - centred[:, None], axis=-1).mean(axis=-1)
@@ -145,14 +145,14 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
     """
     camera = searcher.database.camera
     track = seen.track
-    found = match_track(searcher, track, _KNOWN_BODY)
+    matches = match_track(searcher, track, _KNOWN_BODY)
     made = {
-        method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found)
+        method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=matches)
         for method in searcher.methods
     }
     centred = seen.truth_m - mid_hip(seen.truth_m)[:, None]
     motions = {
-        BEST: best_candidates(searcher, found, seen.truth_m),
+        BEST: best_candidates(searcher, matches, seen.truth_m),
         STILL: np.broadcast_to(centred.mean(axis=0), centred.shape),
     }
     motions |= {name: one.positions_m for name, one in made.items()}

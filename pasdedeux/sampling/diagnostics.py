@@ -113,11 +113,11 @@ def rhat(values: Array) -> Array:
 
 def _of_each(statistic: Callable[..., Array], values: Array) -> Array:
     """Return a statistic (quantity,) of what moved at all among values (chain, draw, quantity), else NaN."""
-    found, has_moved = np.full(values.shape[-1], np.nan), np.ptp(values, axis=(0, 1)) > 0.0
+    values_of_each, has_moved = np.full(values.shape[-1], np.nan), np.ptp(values, axis=(0, 1)) > 0.0
     if values.shape[1] >= _MIN_DRAWS and has_moved.any():
         with np.errstate(divide="ignore", invalid="ignore"):  # chains that stand still give NaN, as they should
-            found[has_moved] = statistic(values[..., has_moved], chain_axis=0, draw_axis=1)
-    return found
+            values_of_each[has_moved] = statistic(values[..., has_moved], chain_axis=0, draw_axis=1)
+    return values_of_each
 
 
 def diagnose(

@@ -183,7 +183,7 @@ def lift_seeds(
     lengths = apparent_bone_lengths(annotated.points_m)
     shown = evenly_spread(count, max(_NUM_GROUPED, num_seeds))
     matrix = _distances(annotated.points_m[shown])
-    found: list[Array] = []
+    lifted: list[Array] = []
     used: list[int] = []
     for medoid in choose_medoids(matrix, min(num_seeds, count)):
         near = [int(index) for index in np.argsort(matrix[medoid], kind="stable") if index not in used]
@@ -191,12 +191,12 @@ def lift_seeds(
             entry = int(shown[index])
             pair = lift_pair(annotated.points_m[entry], annotated.directions[entry], lengths, limits, basis, prior)
             if pair is not None and seed_quality(pair[None], limits, prior).is_possible[0]:
-                found.append(gauge_fix(pair))
+                lifted.append(gauge_fix(pair))
                 used.append(index)
                 break
-    if not found:
+    if not lifted:
         raise InputError(f"no seed can be lifted from 2D alone: no pair of {count} annotations keeps the joint limits")
-    pairs = np.array(found)
+    pairs = np.array(lifted)
     return LiftedSeeds(pairs_m=pairs, entry=shown[used], log_prior=seed_quality(pairs, limits, prior).log_prior)
 
 

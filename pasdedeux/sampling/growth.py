@@ -206,10 +206,10 @@ class _Frontier:
         shape = (count, _NUM_NEIGHBOURS)
         return np.full(shape, np.inf), np.full(shape, -1, dtype=np.int64)
 
-    def add(self, one: _Lifted) -> None:
+    def add(self, lifted: _Lifted) -> None:
         """Take a pair in: it may lift what it looks like."""
-        self.lifted.append(one)
-        keep_nearest(self._views.residuals(one.pair_m), len(self.lifted) - 1, self.distance_m, self.which)
+        self.lifted.append(lifted)
+        keep_nearest(self._views.residuals(lifted.pair_m), len(self.lifted) - 1, self.distance_m, self.which)
 
     def nearest(self) -> int:
         """Return the entry nearest to anything lifted, and close its annotation; -1 when none is near enough."""

@@ -81,8 +81,8 @@ def choose_seeds(
     possible = np.flatnonzero(quality.is_possible & np.isfinite(quality.violation_m2))
     pools = []
     for take in np.unique(take_index[possible]):
-        own = possible[take_index[possible] == take]
-        close = _smallest(own, quality.closest_m, max(int(CLOSE_SHARE * len(own)), 2 * MIN_POOL))
+        of_take = possible[take_index[possible] == take]
+        close = _smallest(of_take, quality.closest_m, max(int(CLOSE_SHARE * len(of_take)), 2 * MIN_POOL))
         pools.append(_smallest(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), MIN_POOL)))
     pool = np.concatenate(pools) if pools else possible
     if len(pool) < num_seeds:

@@ -49,10 +49,10 @@ class Speeds:
         This is the second term of eq. 12: an annotation that is nearest under several views counts once.  Each speed is
         the mean over the entries that show it; 0 where none does.
         """
-        own = np.unique(entries[entries >= 0])
-        if not len(own):
+        slots = np.unique(entries[entries >= 0])
+        if not len(slots):
             return np.zeros(NUM_BLOCKS), np.zeros(2)
-        return _mean_known(self.turn[own]), _mean_known(self.shift[own])
+        return _mean_known(self.turn[slots]), _mean_known(self.shift[slots])
 
 
 def annotation_speeds(tracks_m: Array) -> Speeds:

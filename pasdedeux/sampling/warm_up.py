@@ -80,8 +80,8 @@ def disperse(
         """Return the target with its logarithm divided by the temperature of dispersed starts; its bounds stay."""
         log_measure = target.chart.log_measure(parameters)
         level = DISPERSING_TEMPERATURE * (at_least - log_measure) + log_measure if np.isfinite(log_measure) else np.inf
-        found = target(parameters, level)
-        return replace(found, log_density=found.log_density / DISPERSING_TEMPERATURE)
+        log_density = target(parameters, level)
+        return replace(log_density, log_density=log_density.log_density / DISPERSING_TEMPERATURE)
 
     state = ChainState(parameters, wider(parameters), proposal.init(parameters))
     state = warm_up(rng, state, wider, proposal.propose, num_steps=num_steps, gauge=target.chart.gauge_fixed)

@@ -103,11 +103,11 @@ class Skeleton:
 
     @cached_property
     def _children(self) -> tuple[tuple[int, ...], ...]:
-        found: list[list[int]] = [[] for _ in self.parents]
+        children: list[list[int]] = [[] for _ in self.parents]
         for child, parent in enumerate(self.parents):
             if parent >= 0:
-                found[parent].append(child)
-        return tuple(map(tuple, found))
+                children[parent].append(child)
+        return tuple(map(tuple, children))
 
     def index(self, joint_name: str) -> int:
         """Return the index of a joint, or an InputError that lists the known ones."""

@@ -78,12 +78,12 @@ def _starts(inputs: StageInputs, which: str) -> list[tuple[Manifest, int]]:
     ]
 
 
-def _plan_repair(inputs: StageInputs, name: str, own: ChainsParameters, needed: Inputs) -> list[Shard]:
+def _plan_repair(inputs: StageInputs, name: str, options: ChainsParameters, needed: Inputs) -> list[Shard]:
     """Plan the short chains from every grown and filled pair, some hundreds a shard."""
     pairs = list(filter(is_set, inputs.of("seeds")))
     if inputs.of("seeds") and not pairs:
         raise InputError("chains.starts is every, but no pairs grow to start from: say seeds.num_grown")
-    density = DENSITIES[own.densities[0]]
+    density = DENSITIES[options.densities[0]]
     return [
         CHAINS.shard(
             inputs,
@@ -94,9 +94,9 @@ def _plan_repair(inputs: StageInputs, name: str, own: ChainsParameters, needed: 
                 density=density.name,
                 first_row=first,
                 num_rows=min(_STARTS_OF_A_SHARD, manifest.tables["seeds"].rows - first),
-                repair=own.part(RepairSettings),
-                target=own.part(TargetSettings),
-                annotations=own.part(AnnotationSettings) if density.reads_annotations else None,
+                repair=options.part(RepairSettings),
+                target=options.part(TargetSettings),
+                annotations=options.part(AnnotationSettings) if density.reads_annotations else None,
             ),
             {"seed": [manifest], "joint_limits": inputs.of("joint_limits"), **needed},
         )
@@ -106,19 +106,19 @@ def _plan_repair(inputs: StageInputs, name: str, own: ChainsParameters, needed: 
 
 
 def _plan_seed(
-    inputs: StageInputs, name: str, own: ChainsParameters, seed: Manifest, index: int, needed: Inputs
+    inputs: StageInputs, name: str, options: ChainsParameters, seed: Manifest, index: int, needed: Inputs
 ) -> list[Shard]:
     """Plan the segments of every chain of a seed, and their summary."""
     read = {"seed": [seed], "joint_limits": inputs.of("joint_limits"), **needed}
-    density = DENSITIES[own.densities[0]]
-    proposal = PROPOSALS[own.proposal]
+    density = DENSITIES[options.densities[0]]
+    proposal = PROPOSALS[options.proposal]
     if proposal.reads_annotations and not density.reads_annotations:
         proposal = next(iter(PROPOSALS.values()))
-    partition, num_segments = f"{name}-seed{index}", -(-own.num_draws // own.segment_draws)
+    partition, num_segments = f"{name}-seed{index}", -(-options.num_draws // options.segment_draws)
     segments: list[Shard] = []
-    run, target = own.part(RunSettings), own.part(TargetSettings)
-    annotations = own.part(AnnotationSettings) if density.reads_annotations else None
-    for chain in range(own.num_chains):
+    run, target = options.part(RunSettings), options.part(TargetSettings)
+    annotations = options.part(AnnotationSettings) if density.reads_annotations else None
+    for chain in range(options.num_chains):
         previous: tuple[str, ...] = ()
         for segment in range(num_segments):
             shard = CHAINS.shard(
@@ -146,7 +146,7 @@ def _plan_seed(
         partition,
         "summary",
         SummaryParameters(
-            name=name, seed_index=index, num_chains=own.num_chains, num_segments=num_segments, thin=own.thin
+            name=name, seed_index=index, num_chains=options.num_chains, num_segments=num_segments, thin=options.thin
         ),
         {"seed": [seed]},
         after=tuple(shard.key for shard in segments),

@@ -45,13 +45,13 @@ _SAMPLE_VARIANTS = 2
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per take that has variants."""
-    found = []
+    shards = []
     for take in inputs.of("poses"):
         take_id = TakeFacts.of(take).take_id
         variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id == take_id]
         if variants:
-            found.append(TOPIC.shard(inputs, take_id, take=[take], variants=variants))
-    return found
+            shards.append(TOPIC.shard(inputs, take_id, take=[take], variants=variants))
+    return shards
 
 
 class _ShownAugmentation(NamedTuple):

@@ -37,9 +37,9 @@ _STANDING_M = 0.95
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan a shard over the summaries of all chains, and two that show draws of a chain of each density."""
-    found = inputs.of("chain_info")
+    manifests = inputs.of("chain_info")
     shown = _first_chains(list(filter(is_chain, inputs.of("draws"))))
-    named = {"summary": found, "draws": shown}
+    named = {"summary": manifests, "draws": shown}
     shards = [TOPIC.shard(inputs, name, chains=chains, first=shown) for name, chains in named.items() if chains]
     known = with_views(annotated_pairs(inputs), inputs)
     if shown and known["annotations"]:
@@ -87,14 +87,14 @@ def _draw(shown: _ShownChains) -> Iterator[Picture]:
 
 def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
     """Return the segments of the first chain of the first seed of each density."""
-    found = []
+    manifests = []
     facts = [(DrawFacts.of(manifest), manifest) for manifest in draws]
     for density in sorted({one.density for one, _ in facts}):
         first = min(one.seed_index for one, _ in facts if one.density == density)
         place = (density, first, 0)
-        own = [pair for pair in facts if (pair[0].density, pair[0].seed_index, pair[0].chain) == place]
-        found += [manifest for _, manifest in sorted(own, key=lambda pair: pair[0].segment)]
-    return found
+        segments = [pair for pair in facts if (pair[0].density, pair[0].seed_index, pair[0].chain) == place]
+        manifests += [manifest for _, manifest in sorted(segments, key=lambda pair: pair[0].segment)]
+    return manifests
 
 
 def _baselines(shard: Shard, store: Store) -> set[str]:

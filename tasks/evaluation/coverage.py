@@ -195,13 +195,13 @@ def _ready_draws(
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots], list[str]]:
     """Return all sets of draws, made ready for all shards of a worker if they are few enough, dots, and baselines."""
     drawn, first = read_draw_sets(store, refs), draws_from_first_seeds(store, refs)
-    own = {name: found.in_order for name, found in drawn.items()}
-    most = max(map(len, own.values()), default=0)
+    in_order = {name: found.in_order for name, found in drawn.items()}
+    most = max(map(len, in_order.values()), default=0)
     counts = sorted({max(1, round(share * most)) for share in _MAPPED_SHARES})
-    draws = own | {name: found.in_order for name, found in first.items()}
+    draws = in_order | {name: found.in_order for name, found in first.items()}
     is_kept = sum(map(len, draws.values())) <= _MAX_KEPT
     parts = {name: tuple(_parts(pairs)) for name, pairs in draws.items() if is_kept}
-    return draws, parts, {name: _dots(pairs, counts) for name, pairs in own.items()}, baselines_of(drawn | first)
+    return draws, parts, {name: _dots(pairs, counts) for name, pairs in in_order.items()}, baselines_of(drawn | first)
 
 
 def _dots(pairs_m: np.ndarray, counts: Sequence[int]) -> _Dots:
@@ -245,13 +245,13 @@ def _split(
 
 def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[str, DrawSet]:
     """Return the draws from the first seed alone of each density that has many others: how far chains walk."""
-    facts = {ref: DrawFacts.of(one) for ref in refs if is_chain(one := store.manifest(ref))}
+    facts = {ref: DrawFacts.of(manifest) for ref in refs if is_chain(manifest := store.manifest(ref))}
     seeds: dict[str, set[int]] = {}
     for fact in facts.values():
         seeds.setdefault(fact.density, set()).add(fact.seed_index)
     first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
-    own = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
-    return {f"{name}{_FIRST_SEED}": found for name, found in read_draw_sets(store, own).items()}
+    first_refs = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
+    return {f"{name}{_FIRST_SEED}": found for name, found in read_draw_sets(store, first_refs).items()}
 
 
 def curve_points(num_draws: int, num_points: int) -> list[int]:
@@ -321,9 +321,9 @@ def coverage_figure(
     for measure, (name, unit) in _MEASURES.items():
         factor, end = (100.0, " (cm)") if unit == "m" else (1.0, "")
         real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
-        own = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
+        lines = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
         levels_of = {f"{count} real": float(value) for count, value in real}
-        panels.append(CurvePanel(f"to the nearest draw, {_MEASURE_WORDS[measure]}{end}", own, baselines, levels_of))
+        panels.append(CurvePanel(f"to the nearest draw, {_MEASURE_WORDS[measure]}{end}", lines, baselines, levels_of))
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
 
 
@@ -368,10 +368,10 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> lis
     split = next((one for one in SPLITS[::-1] if any(score.split == one for score in single)), None)
     if split is None or not chains:
         return []
-    own = [score for score in single if score.split == split]
-    drawn = {score.method for score in own if score.metric == "num_draws"}
-    covered = {score.method: score.value for score in own if score.metric == "coverage_D_C" and score.method in drawn}
-    known = [score for score in (*own, *chains) if score.method in covered and np.isfinite(score.value)]
+    part = [score for score in single if score.split == split]
+    drawn = {score.method for score in part if score.metric == "num_draws"}
+    covered = {score.method: score.value for score in part if score.metric == "coverage_D_C" and score.method in drawn}
+    known = [score for score in (*part, *chains) if score.method in covered and np.isfinite(score.value)]
     known.sort(key=lambda score: covered[score.method])
     return [
         pivot_table(

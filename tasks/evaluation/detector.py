@@ -24,17 +24,17 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     annotations = {
         name: manifest for manifest in inputs.of("annotations") for name in SequenceFacts.of(manifest).sequence_ids
     }
-    found = []
+    shards = []
     for name, detected in motions.items():
         plain = motions.get(name.removesuffix(_SUFFIX))
         if name.endswith(_SUFFIX) and plain is not None:
             shown = MotionFacts.of(detected).sequence_takes
             takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in shown]
             sources = [annotations[one.partition] for one in (detected, plain)]
-            found.append(
+            shards.append(
                 TOPIC.shard(inputs, name, detected=[detected], plain=[plain], annotations=sources, takes=takes)
             )
-    return found
+    return shards
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[None]:
@@ -45,8 +45,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     scores = []
     for name, label in (("detected", "detector"), ("plain", _NOISE_ALONE)):
         for person in read_reconstructed(store, shard.ref(name), annotations, takes)[0]:
-            method, found = list(person.found_m.items())[-1]
-            error = root_centred_error_m(found, person.truth_m)
+            method, positions_m = list(person.found_m.items())[-1]
+            error = root_centred_error_m(positions_m, person.truth_m)
             item = f"{shard.name.removesuffix(_SUFFIX)} person {person.person_id}"
             median = {"median_error": float(np.median(error))}
             scores += scores_of(median, label, "m", split=method, item=item, count=len(error))

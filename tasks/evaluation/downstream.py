@@ -131,32 +131,32 @@ def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
 
     That one learned from real clips alone (table 6 of the paper).
     """
-    one = _Repetition(shard, store)
+    repetition = _Repetition(shard, store)
     from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
 
-    learned = one.options.learned
+    learned = repetition.options.learned
     classes = _with_roles if learned.tells_roles else dict[str, Array]
-    tested = classes(one.clips(one.test))
+    tested = classes(repetition.clips(repetition.test))
     trained = {
         method: train_classifier(
-            classes(clips), learned.classifier, one.stream("recognition"), tells_roles=learned.tells_roles
+            classes(clips), learned.classifier, repetition.stream("recognition"), tells_roles=learned.tells_roles
         )
-        for method, clips in one.training_sets.items()
+        for method, clips in repetition.training_sets.items()
     }
-    found = {method: classifier.accuracy(tested) for method, classifier in trained.items()}
-    found[LARGEST] = 100.0 * max(map(len, tested.values())) / _count(tested)
+    shares = {method: classifier.accuracy(tested) for method, classifier in trained.items()}
+    shares[LARGEST] = 100.0 * max(map(len, tested.values())) / _count(tested)
     asked = {
-        _ASKED.get(by, by.removeprefix(_BY)): classes(one.clips(one.test, by, has_takes=False))
+        _ASKED.get(by, by.removeprefix(_BY)): classes(repetition.clips(repetition.test, by, has_takes=False))
         for by in trained
         if by != WITHOUT
     }
     told = [("recognised", name, trained[WITHOUT].accuracy(clips), clips) for name, clips in asked.items() if clips]
-    told += [("recognised", name, found[method], tested) for name, method in ((TRUTH, WITHOUT), (LARGEST, LARGEST))]
-    told += [("accuracy", method, value, tested) for method, value in found.items()]
-    more: dict[str, Any] = {"split": one.options.shares, "item": f"seed {one.options.seed}"}
+    told += [("recognised", name, shares[method], tested) for name, method in ((TRUTH, WITHOUT), (LARGEST, LARGEST))]
+    told += [("accuracy", method, value, tested) for method, value in shares.items()]
+    more: dict[str, Any] = {"split": repetition.options.shares, "item": f"seed {repetition.options.seed}"}
     scores = [Score(metric, name, value, "%", count=_count(clips), **more) for metric, name, value, clips in told]
-    values = {method: np.array([value]) for method, value in found.items()}
-    return one.result(scores, Items(values, [one.name], [0.0], _count(tested)))
+    values = {method: np.array([value]) for method, value in shares.items()}
+    return repetition.result(scores, Items(values, [repetition.name], [0.0], _count(tested)))
 
 
 def _with_roles(clips: Clips) -> Clips:
@@ -167,17 +167,17 @@ def _with_roles(clips: Clips) -> Clips:
 def _predict(shard: Shard, store: Store) -> TopicResult[None]:
     """Train a predictor on each training set, and test it on clips of other takes."""
     # A take that is shorter than a clip has none: what is held still there would be a motion to predict.
-    one = _Repetition(shard, store, num_frames=HISTORY + HORIZON, frame=HISTORY - 1, is_held=False)
+    repetition = _Repetition(shard, store, num_frames=HISTORY + HORIZON, frame=HISTORY - 1, is_held=False)
     from pasdedeux.learning.networks.motion_predictor import train_predictor  # torch
 
-    tested = one.clips(one.test)
-    if not (one.training_sets[WITHOUT] and tested):
-        return TopicResult(notes=[f"{one.name}: skipped, no take of a side lasts 3 s."])
+    tested = repetition.clips(repetition.test)
+    if not (repetition.training_sets[WITHOUT] and tested):
+        return TopicResult(notes=[f"{repetition.name}: skipped, no take of a side lasts 3 s."])
     guesses: dict[str, Callable[[Array], Array]] = {
         method: train_predictor(
-            np.concatenate(list(clips.values())), one.options.learned.predictor, one.stream("prediction")
+            np.concatenate(list(clips.values())), repetition.options.learned.predictor, repetition.stream("prediction")
         ).predict
-        for method, clips in one.training_sets.items()
+        for method, clips in repetition.training_sets.items()
     }
     guesses[STILL] = lambda known: np.repeat(known[:, -1:], HORIZON, axis=1)
     scores, parts = [], []
@@ -186,10 +186,10 @@ def _predict(shard: Shard, store: Store) -> TopicResult[None]:
         for method, guess in guesses.items():
             jme, ame = joint_errors(guess(clips[:, :HISTORY]), clips[:, HISTORY:])
             errors[method] = jme.mean(axis=1)
-            item = f"{kind}, seed {one.options.seed}"
-            scores += prediction_scores(jme, ame, method, split=one.options.shares, item=item)
-        parts.append(Items(errors, [one.name] * len(clips), [number] * len(clips)))
-    return one.result(scores, Items.joined(parts))
+            item = f"{kind}, seed {repetition.options.seed}"
+            scores += prediction_scores(jme, ame, method, split=repetition.options.shares, item=item)
+        parts.append(Items(errors, [repetition.name] * len(clips), [number] * len(clips)))
+    return repetition.result(scores, Items.joined(parts))
 
 
 class _Repetition:
@@ -218,7 +218,7 @@ class _Repetition:
 
     def clips(self, takes: Iterable[Manifest], by: str = WITHOUT, *, has_takes: bool = True) -> Clips:
         """Return clips of takes, and of as many of their variants as solver and models all have."""
-        found: dict[str, list[Array]] = {}
+        clips: dict[str, list[Array]] = {}
         for take in takes:
             take_id = TakeFacts.of(take).take_id
             source = self._variants[BY_SOLVER].takes[take_id].source
@@ -229,8 +229,8 @@ class _Repetition:
                 chosen = [sound[by][at * len(sound[by]) // count] for at in range(count)]
                 motions += [item.motion_m for item in self._variants[by].items(chosen)]
             cut = [clips_of(motion, source.rate_hz, **self._cut) for motion in motions]
-            found.setdefault(interaction_of(take), []).extend(cut)
-        return {kind: joined for kind, own in found.items() if own and len(joined := np.concatenate(own))}
+            clips.setdefault(interaction_of(take), []).extend(cut)
+        return {kind: joined for kind, own in clips.items() if own and len(joined := np.concatenate(own))}
 
     @cached_property
     def training_sets(self) -> dict[str, Clips]:
@@ -337,12 +337,12 @@ def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
     rows = []
     splits = {score.split: None for score in sorted(scores, key=lambda score: _division(score.split))}
     for split in splits:
-        found = {
+        by_seed = {
             name: _of_seeds(score for score in scores if (score.split, score.method) == (split, name))
             for name in methods
         }
-        differences = [[found[one][seed] - found[other][seed] for seed in found[one]] for one, other in pairs]
-        rows.append((split, *(_spread([*own.values()]) for own in found.values()), *map(_effect, differences)))
+        differences = [[by_seed[one][seed] - by_seed[other][seed] for seed in by_seed[one]] for one, other in pairs]
+        rows.append((split, *(_spread([*own.values()]) for own in by_seed.values()), *map(_effect, differences)))
     effects = (f"{in_words(one)} - {in_words(other)} (95 %)" for one, other in pairs)
     division = "training / validation / test" if "/" in "".join(splits) else "training takes of each interaction"
     headings = (division, *map(in_words, methods), *effects)
@@ -356,10 +356,10 @@ def _division(split: str) -> tuple[int, str]:
 
 def _of_seeds(scores: Iterable[Score]) -> dict[str, float]:
     """Return the mean of each seed."""
-    found: dict[str, list[float]] = {}
+    by_seed: dict[str, list[float]] = {}
     for score in scores:
-        found.setdefault(score.item.rpartition(", ")[2], []).append(score.value)
-    return {seed: float(np.mean(values)) for seed, values in sorted(found.items())}
+        by_seed.setdefault(score.item.rpartition(", ")[2], []).append(score.value)
+    return {seed: float(np.mean(values)) for seed, values in sorted(by_seed.items())}
 
 
 def _mean(scores: Sequence[Score]) -> str:

@@ -52,8 +52,10 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
             if found.take_id in facts.test and (found.origin is None or found.origin.artifact == model.ref.key):
                 made["solved" if found.origin is None else "generated"].append(manifest)
         if made["generated"]:
-            own = settings.part(LearnedSettings)
-            shards.append(TOPIC.shard(inputs, f"{facts.model} {facts.split}", own, model=[model], takes=takes, **made))
+            options = settings.part(LearnedSettings)
+            shards.append(
+                TOPIC.shard(inputs, f"{facts.model} {facts.split}", options, model=[model], takes=takes, **made)
+            )
     return shards
 
 
@@ -121,13 +123,13 @@ def _draw(shown: _ShownGeneration) -> Iterator[Picture]:
 
 def _wanted(store: Store, shard: Shard, model: str) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
     """Yield method, take and variants: those generated, and as many of the solver's, evenly spread."""
-    found: dict[str, dict[str, list[tuple[str, str]]]] = {"generated": {}, "solved": {}}
-    for name, by_take in found.items():
+    wanted: dict[str, dict[str, list[tuple[str, str]]]] = {"generated": {}, "solved": {}}
+    for name, by_take in wanted.items():
         for facts in VariantFacts.read(store, shard.refs(name)):
             by_take.setdefault(facts.take_id, []).extend((facts.take_id, variant) for variant in facts.variants)
-    for take_id, made in sorted(found["generated"].items()):
+    for take_id, made in sorted(wanted["generated"].items()):
         yield model, take_id, made
-        if solved := found["solved"].get(take_id):
+        if solved := wanted["solved"].get(take_id):
             yield SOLVER, take_id, some_of(solved, len(made))
 
 

@@ -168,7 +168,7 @@ def _takes_and_times(
     facts: Sequence[SequenceFacts], truth: GroundTruth, places: Sequence[PairPlace], stills: Collection[str]
 ) -> tuple[list[str], list[float]]:
     """Return the take of each image and its time there, seconds; each still of one's own is a moment of its own."""
-    own = {name: fact.rate_hz for fact in facts for name in fact.sequence_ids}
+    rates_hz = {name: fact.rate_hz for fact in facts for name in fact.sequence_ids}
     takes, times_s = [], []
     for sequence_id, frame, *_ in places:
         if (sequence_id, frame) in truth.frames:
@@ -176,7 +176,7 @@ def _takes_and_times(
             times_s.append(truth.time_s(*truth.frames[sequence_id, frame]))
         else:
             takes.append(sequence_id)
-            times_s.append(frame / (1.0 if sequence_id in stills else own[sequence_id]))
+            times_s.append(frame / (1.0 if sequence_id in stills else rates_hz[sequence_id]))
     return takes, times_s
 
 
@@ -221,14 +221,14 @@ def nearest_curve(
         directions: View hypotheses of each, (view, 3): the best one counts.
         pairs_m: Draws in the order in which they count, (draw, person=2, joint=17, 3), metres, at least one.
     """
-    found: dict[int, Array] = {}
+    nearest: dict[int, Array] = {}
     least = np.full(len(directions), np.inf)
     for count in [*(count for count in _COUNTS if count < len(pairs_m)), len(pairs_m)]:
         index = DrawIndex(pairs_m[:count])
         near = [nearest_by_image(index, *seen)[1][0] for seen in zip(images_m, directions, strict=True)]
         # The nearest of few is among many too; that d_I is computed of some only must not hide it.
-        found[count] = least = np.minimum(least, near)
-    return found
+        nearest[count] = least = np.minimum(least, near)
+    return nearest
 
 
 def nearest_draw_scores(curves: Mapping[str, NearestCurve], *, split: str) -> list[Score]:
@@ -293,11 +293,13 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
     figure, ((axis,),) = new_figure(6.4, 5.0)
     axis.scatter(*(100 * plane.places.T), s=7, color="#9aa3b0", label="annotation", **CLOUD)
     for method, images in nearest.items():
-        own, count = np.unique(images, axis=0, return_counts=True)
+        spots, count = np.unique(images, axis=0, return_counts=True)
         label = f"nearest to draws: {in_words(method)}"
         size = 12.0 + 150.0 * count / count.sum()
         colour, marker = style_of(method)
-        axis.scatter(*(100 * plane.place(own).T), s=size, alpha=0.6, color=colour, marker=marker, label=label, **CLOUD)
+        axis.scatter(
+            *(100 * plane.place(spots).T), s=size, alpha=0.6, color=colour, marker=marker, label=label, **CLOUD
+        )
     if len(left_out_m):
         axis.plot(*(100 * plane.place(left_out_m).T), "kx", markersize=4, linestyle="none", label="left out")
     scale = _DRAWN_SHARE * 100 * float(np.ptp(plane.places[:, 0])) / 1.7

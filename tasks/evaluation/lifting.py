@@ -110,8 +110,8 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     if lifted and takes and virtual:
         shards.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=virtual, lifted=lifted))
     if settings.num_completed_pairs and draws and (couples := takes_of(inputs, 2)):
-        own = settings.part(LiftedPairsSettings)
-        shards += [TOPIC.shard(inputs, name, own, takes=couples, draws=draws) for name in ("completed", "between")]
+        options = settings.part(LiftedPairsSettings)
+        shards += [TOPIC.shard(inputs, name, options, takes=couples, draws=draws) for name in ("completed", "between")]
     return shards
 
 
@@ -201,7 +201,7 @@ class _LiftedRow:
 
 def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_LiftedRow]:
     """Return the rows whose ground truth is known."""
-    manifest, found = store.manifest(ref), []
+    manifest, lifted_rows = store.manifest(ref), []
     facts = LiftedFacts.of(manifest)
     if facts.is_held_out:
         refuse_overlap(f"artifact {manifest.partition}", facts.learned_takes, truth.held_out)
@@ -216,7 +216,7 @@ def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Li
             if true is None or place.sequence_id not in truth.cameras:
                 continue
             learned = "annotated" if facts.purpose == "random_views" else "unannotated"
-            found.append(
+            lifted_rows.append(
                 _LiftedRow(
                     table=name,
                     place=place,
@@ -228,7 +228,7 @@ def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Li
                     truth=true,
                 )
             )
-    return found
+    return lifted_rows
 
 
 def _grouped(rows: Iterable[_LiftedRow], key: Callable[[_LiftedRow], K]) -> dict[K, list[_LiftedRow]]:
@@ -238,11 +238,11 @@ def _grouped(rows: Iterable[_LiftedRow], key: Callable[[_LiftedRow], K]) -> dict
 
 def _by_place(rows: Sequence[_LiftedRow], split: str) -> dict[PairPlace, list[_LiftedRow]]:
     """Return the rows of a part by annotation."""
-    found: dict[PairPlace, list[_LiftedRow]] = {}
+    by_place: dict[PairPlace, list[_LiftedRow]] = {}
     for row in rows:
         if row.split == split:
-            found.setdefault(row.place, []).append(row)
-    return found
+            by_place.setdefault(row.place, []).append(row)
+    return by_place
 
 
 def _items(rows: Sequence[_LiftedRow]) -> Items:
@@ -318,8 +318,8 @@ def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
 
 def _expected(table: TableData, row: int) -> list[float] | None:
     """Return the expected error and the ends of its interval, metres; None of a method that has none."""
-    found = [float(table[name][row]) for name in _EXPECTED]
-    return None if math.isnan(found[0]) else found
+    expected = [float(table[name][row]) for name in _EXPECTED]
+    return None if math.isnan(expected[0]) else expected
 
 
 def _label(place: PairPlace, expected_m: Sequence[float]) -> str:
@@ -338,8 +338,8 @@ def _row(seen: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIn
     ]
     if others:
         images, views = np.stack([other.image_m for other in others]), np.stack([o.directions[0] for o in others])
-        found, distance = nearest_images(pair_m, images, views, count=_NUM_NEAREST)
-        row += [(f"annotation, {100 * far:.0f} cm", images[at]) for at, far in zip(found, distance, strict=True)]
+        nearest, distance = nearest_images(pair_m, images, views, count=_NUM_NEAREST)
+        row += [(f"annotation, {100 * far:.0f} cm", images[at]) for at, far in zip(nearest, distance, strict=True)]
     draws, distance = nearest_by_image(index, seen.image_m, seen.directions, count=_NUM_NEAREST)
     return row + [(f"draw, {100 * far:.0f} cm", pair[..., :2]) for pair, far in zip(draws, distance, strict=True)]
 

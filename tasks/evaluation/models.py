@@ -60,15 +60,15 @@ def _plan(inputs: StageInputs, settings: ModelsSettings) -> list[Shard]:
     splits: dict[str, list[Manifest]] = {}
     for manifest in inputs.of("models"):
         splits.setdefault(_split_name(ModelFacts.of(manifest)), []).append(manifest)
-    found = []
+    shards = []
     for split, models in splits.items():
         tested = set(ModelFacts.of(models[0]).test)
         takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in tested]
         variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id in tested]
-        own = settings.part(ModelsSettings)
+        options = settings.part(ModelsSettings)
         logs = [one for one in inputs.of("training_log") if _split_name(ModelFacts.of(one)) == split]
-        found.append(TOPIC.shard(inputs, split, own, models=models, takes=takes, variants=variants, logs=logs))
-    return found
+        shards.append(TOPIC.shard(inputs, split, options, models=models, takes=takes, variants=variants, logs=logs))
+    return shards
 
 
 def _split_name(facts: ModelFacts) -> str:
@@ -129,8 +129,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
 
     def scores_of_rows(item: str, rows: Sequence[int]) -> list[Score]:
         mine = {name: [found[row] for row in rows] for name, found in errors.items()}
-        own = None if takes is None else [takes[row] for row in rows]
-        return model_scores(mine, split=split, item=item, takes=own) if rows else []
+        row_takes = None if takes is None else [takes[row] for row in rows]
+        return model_scores(mine, split=split, item=item, takes=row_takes) if rows else []
 
     distances = {name: found for name, found in errors.items() if name != SOLVER}
     scores = scores_of_rows("all", range(len(tested)))
@@ -140,9 +140,9 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
         TakeFacts.of(take).take_id: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))
     }
     for motion in sorted({interactions[key.take_id] for key in tested}):
-        own = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
-        scores += scores_of_rows(motion, own)
-        largest = [row for row in own if np.isclose(tested[row].furthest_scale, _LARGEST_SCALE)]
+        motion_rows = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
+        scores += scores_of_rows(motion, motion_rows)
+        largest = [row for row in motion_rows if np.isclose(tested[row].furthest_scale, _LARGEST_SCALE)]
         scores += scores_of_rows(f"{motion}{_AT_LARGEST}", largest)
     drawn: dict[str, list[Errors]] = {}
     for take_id, meter in meters.items():
@@ -269,13 +269,15 @@ def fall_scores(logs: Mapping[str, TableData], split: str) -> list[Score]:
 
 def learning_curves(logs: Sequence[TableData]) -> dict[str, tuple[Array, Array]]:
     """Return steps and validation error, cm, of each network by its name, and of the copy, from all segments' logs."""
-    found: dict[str, dict[float, float]] = {}
+    curves: dict[str, dict[float, float]] = {}
     for log in logs:
         for model, step, quantity, value in zip(*(log[name] for name in _OF_LOG), strict=True):
             name = {"validation_error_cm": str(model), "validation_copy_error_cm": BASELINES[0]}.get(str(quantity))
             if name is not None:
-                found.setdefault(name, {})[float(step)] = float(value)
-    return {name: (np.array(sorted(own)), np.array([own[step] for step in sorted(own)])) for name, own in found.items()}
+                curves.setdefault(name, {})[float(step)] = float(value)
+    return {
+        name: (np.array(sorted(own)), np.array([own[step] for step in sorted(own)])) for name, own in curves.items()
+    }
 
 
 def refined_scores(
@@ -301,9 +303,9 @@ def _without_seed(score: Score) -> str:
     return re.sub(r"_seed\d+$", "", score.method)
 
 
-def _of_seeds(found: Sequence[Score]) -> str:
+def _of_seeds(seed_scores: Sequence[Score]) -> str:
     """Return mean, least and most of the figures of several seeds."""
-    values = [one.value for one in found]
+    values = [one.value for one in seed_scores]
     return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f}, {len(values)} seeds)"
 
 
@@ -326,8 +328,8 @@ def model_figure(
 
 def best_model(scores: Sequence[Score], *, split: str, baselines: Collection[str]) -> str | None:
     """Return the model with the smallest E_r over the test variants of a split; a baseline or bound if all are."""
-    found = {s.method: s.value for s in scores if (s.metric, s.split, s.item) == ("E_r", split, "all")}
-    return min(found, key=lambda name: (name in baselines or is_bound(name), found[name]), default=None)
+    errors = {s.method: s.value for s in scores if (s.metric, s.split, s.item) == ("E_r", split, "all")}
+    return min(errors, key=lambda name: (name in baselines or is_bound(name), errors[name]), default=None)
 
 
 def extreme_cases(errors: Sequence[float]) -> dict[str, int]:

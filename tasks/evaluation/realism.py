@@ -104,8 +104,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             streams = partial(stream, shard.seed, "evaluation", "drawn", split, take_id, item.variant_id)
             several = generated(models, item.request, streams)
             # What stands beside models that draw has the scales of each in turn, and so no more clips than they have.
-            own = {name: found[len(predicted.get(SOLVER, ())) % len(found)][1] for name, found in several.items()}
-            for clips, motions in ((predicted, made), (drawn, own)):
+            last = {name: found[len(predicted.get(SOLVER, ())) % len(found)][1] for name, found in several.items()}
+            for clips, motions in ((predicted, made), (drawn, last)):
                 for name, motion in {**motions, SOLVER: item.motion_m}.items():
                     clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, clips_of(motion, rate_hz)))
         dealt = halves(strata, stream(shard.seed, "evaluation", "halves", split))
@@ -189,10 +189,10 @@ def _compare(
     return scores
 
 
-def _features(classifier: ClipClassifier, found: Sequence[_Clips]) -> tuple[np.ndarray, list[str]]:
+def _features(classifier: ClipClassifier, clip_sets: Sequence[_Clips]) -> tuple[np.ndarray, list[str]]:
     """Return features of all clips, and the unit of each."""
-    units = [one.unit for one in found for _ in one.clips]
-    return classifier.features(np.concatenate([one.clips for one in found])), units
+    units = [one.unit for one in clip_sets for _ in one.clips]
+    return classifier.features(np.concatenate([one.clips for one in clip_sets])), units
 
 
 TOPIC = Topic(

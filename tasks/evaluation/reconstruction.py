@@ -63,7 +63,7 @@ class Reconstructed:
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard per sequence that was reconstructed."""
-    found = []
+    shards = []
     for motions in inputs.of("motions"):
         if not motions.tables["motions"].rows:
             continue
@@ -74,8 +74,8 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
         ]
         shown = MotionFacts.of(motions).sequence_takes
         takes = [m for m in inputs.of("poses") if TakeFacts.of(m).take_id in shown]
-        found.append(TOPIC.shard(inputs, motions.partition, motions=[motions], annotations=annotations, takes=takes))
-    return found
+        shards.append(TOPIC.shard(inputs, motions.partition, motions=[motions], annotations=annotations, takes=takes))
+    return shards
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
@@ -120,11 +120,11 @@ def read_reconstructed(
     people = []
     for person in np.unique(table["person_id"]):
         is_person = table["person_id"] == person
-        found = {
+        reconstructed = {
             str(method): table["op14_m"][is_person & (table["method"] == method)].astype(np.float64)
             for method in dict.fromkeys(table["method"])
         }
-        at = table["frame"][is_person & (table["method"] == next(iter(found)))]
+        at = table["frame"][is_person & (table["method"] == next(iter(reconstructed)))]
         seen = [truth.frames[sequence_id, int(frame)] for frame in at]
         if person >= min(truth.takes[take].shape[1] for take, _ in seen):
             continue  # a passer-by of a simulated detector, or somebody whom it made up
@@ -132,7 +132,7 @@ def read_reconstructed(
         true = true @ truth.cameras[sequence_id].camera_from_world_rotmat.T
         times_s = [truth.time_s(*place) for place in seen]
         item, names = f"{sequence_id} person {person}", [take for take, _ in seen]
-        people.append(Reconstructed(item, true, found, at, int(person), names, times_s))
+        people.append(Reconstructed(item, true, reconstructed, at, int(person), names, times_s))
     return people, truth, None
 
 
@@ -159,10 +159,10 @@ def _read_film(
         true = film.truth_at(motion_m[:, number], rate_hz, times_s) @ film.camera.camera_from_world_rotmat.T
         known = np.isfinite(true).all(axis=(1, 2))
         if known.any():
-            found = {str(name): table["op14_m"][own].astype(np.float64)[known] for name, own in rows.items()}
+            made_m = {str(name): table["op14_m"][own].astype(np.float64)[known] for name, own in rows.items()}
             item, names = f"{sequence_id} person {person}", [take_id] * int(known.sum())
             at_s = (film.offset_s + film.rate * times_s[known]).tolist()
-            people.append(Reconstructed(item, true[known], found, table["frame"][first][known], person, names, at_s))
+            people.append(Reconstructed(item, true[known], made_m, table["frame"][first][known], person, names, at_s))
     if not people:
         raise InputError("nobody of its take was reconstructed")
     return people, replace(truth, cameras={sequence_id: film.camera}), film
@@ -273,21 +273,21 @@ def _shown(
     """Return what the last method made of everybody beside the image."""
     frames = np.unique(np.concatenate([person.frames for person in people]))
     px = np.full((len(frames), len(people), 14, 2), np.nan)
-    found, true = np.full((2, len(frames), len(people), 14, 3), np.nan)
+    made, true = np.full((2, len(frames), len(people), 14, 3), np.nan)
     for number, person in enumerate(people):
         at = np.searchsorted(frames, person.frames)
-        found[at, number] = list(person.found_m.values())[-1]
+        made[at, number] = list(person.found_m.values())[-1]
         true[at, number] = person.truth_m
         for index in at:
             px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
     places = true - camera.camera_from_world_rotmat @ camera.position_m
-    found, true = (turn_to_camera(motion, places) for motion in (found, true))
+    made, true = (turn_to_camera(motion, places) for motion in (made, true))
     caption = (
         f"{sequence_id}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}; Yiannakides et al. "
         "2019, figs. 6b and 7), first as the camera sees it; turn it, as one camera does not see depth. Better: it "
         "lies on the grey ground truth. Beside the time: the mean error of that frame."
     )
-    return ShownMotion(sequence_id, caption, found, rate_hz, px, true)
+    return ShownMotion(sequence_id, caption, made, rate_hz, px, true)
 
 
 TOPIC = Topic(

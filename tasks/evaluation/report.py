@@ -70,16 +70,16 @@ def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) 
 
 def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> ArtifactRef:
     """Assemble the page and the card, and commit both with a table of all verdicts."""
-    found = followed(shard, store)
+    manifests = followed(shard, store)
     inputs = [store.manifest(ref) for ref in shard.refs("made")]
     settings = shard.options(PageParameters)
-    scores = {topic.name: _scores(store, found, topic) for topic in topics}
-    judged, summary = judge([*inputs, *found]), summary_of([*inputs, *found])
+    scores = {topic.name: _scores(store, manifests, topic) for topic in topics}
+    judged, summary = judge([*inputs, *manifests]), summary_of([*inputs, *manifests])
     card = _card(settings, topics, inputs, summary)
     drawn = {
         topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name], summary)) is not None
     }
-    every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
+    every = [_section(store, manifests, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
     silent = [topic for topic, section in zip(topics, every, strict=True) if section is None]
     there = {table for manifest in inputs for table in manifest.tables}
     page = _page(
@@ -88,7 +88,7 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
             settings.description,
             summary,
             [one for one in every if one is not None],
-            _hero(store, found),
+            _hero(store, manifests),
         ),
         [*summary.skipped, *_unasked(silent, there)],
         card_tables(card),
@@ -103,10 +103,10 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
     )
 
 
-def _hero(store: Store, found: Sequence[Manifest]) -> Picture | None:
+def _hero(store: Store, manifests: Sequence[Manifest]) -> Picture | None:
     """Return the moving picture that the page opens on: the first of the topics that show people best."""
     for topic in _OPENING:
-        for part in (one for one in found if one.partition == topic):
+        for part in (one for one in manifests if one.partition == topic):
             for name in sorted(name for name in part.attachments if name.endswith(PLAYER)):
                 return Picture(name, TopicFacts.of(part).captions[name], store.attachment(part.ref, name)).of_panels(2)
     return None
@@ -138,9 +138,9 @@ def _bounded(section: Section) -> Section:
 def _beyond(section: Section) -> list[str]:
     """Return sentences on pictures and rows of a section that the page omits."""
     beside = [picture.name for picture in section.pictures[_MAX_PICTURES:]]
-    found = [f"{len(beside):,} pictures lie beside the page: {listed(beside)}."] if beside else []
+    sentences = [f"{len(beside):,} pictures lie beside the page: {listed(beside)}."] if beside else []
     long = [table for table in section.tables if len(table.rows) > _MAX_ROWS]
-    return found + [f"{one.caption}: {_MAX_ROWS} of {len(one.rows):,} rows; `scores` has all." for one in long]
+    return sentences + [f"{one.caption}: {_MAX_ROWS} of {len(one.rows):,} rows; `scores` has all." for one in long]
 
 
 def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:
@@ -158,9 +158,9 @@ def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:
     ]
 
 
-def _scores(store: Store, found: Sequence[Manifest], topic: Topic[Any]) -> list[Score]:
+def _scores(store: Store, manifests: Sequence[Manifest], topic: Topic[Any]) -> list[Score]:
     scores = []
-    for manifest in found:
+    for manifest in manifests:
         if manifest.partition == topic.name and "scores" in manifest.tables:
             table = store.read(manifest.ref, "scores")
             columns = [table[name].tolist() for name in COLUMNS]
@@ -170,20 +170,20 @@ def _scores(store: Store, found: Sequence[Manifest], topic: Topic[Any]) -> list[
 
 def _section(
     store: Store,
-    found: Sequence[Manifest],
+    manifests: Sequence[Manifest],
     topic: Topic[Any],
     scores: ScoresOf,
     summary: Summary,
     drawn: tuple[bytes, str] | None,
 ) -> Section | None:
     """Return a topic's section: what it compares first, then pictures of its worst part, its best, and the others."""
-    parts = [manifest for manifest in found if manifest.partition == topic.name]
+    parts = [manifest for manifest in manifests if manifest.partition == topic.name]
     if not parts:
         return None
-    own = scores[topic.name]
-    means = mean_table(own, caption=f"{topic.heading}: means") if topic.has_means_first else None
-    figures = [score_table(own, caption=f"{topic.heading}: figures")] if own else []
-    known = meanings({name for score in own for name in (score.method, score.metric)})
+    topic_scores = scores[topic.name]
+    means = mean_table(topic_scores, caption=f"{topic.heading}: means") if topic.has_means_first else None
+    figures = [score_table(topic_scores, caption=f"{topic.heading}: figures")] if topic_scores else []
+    known = meanings({name for score in topic_scores for name in (score.method, score.metric)})
     names = (
         [TextTable(f"{topic.heading}: what the names mean", ("name", "in words", "which is"), known)] if known else []
     )

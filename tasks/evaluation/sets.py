@@ -81,7 +81,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     truth = np.stack([known.takes[name][at] for name, at in places])
     frames = np.concatenate(real)[generator.permutation(sum(map(len, real)))]
     drawn = read_draw_sets(store, draw_refs)
-    sets = {name: found.in_order for name, found in drawn.items()}
+    sets = {name: score.in_order for name, score in drawn.items()}
     selected = select_pairs(store, (*draw_refs, *shard.refs("chains"), *shard.refs("limits")), SIZE)
     if selected.columns:
         sets[_SELECTED] = np.stack(selected.columns["pair17_m"])
@@ -107,8 +107,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
         if name != GROWN and (paired := items.paired([name], [GROWN])) and paired.baselines:
             lead = float(nearest[GROWN].mean() - nearest[name].mean())
             low, high = lead_interval(paired, GROWN)
-            found = Score("set_coverage_lead", name, lead, "m", split="held_out", at=float(size), count=len(places))
-            scores.append(replace(found, low=low, high=high))
+            score = Score("set_coverage_lead", name, lead, "m", split="held_out", at=float(size), count=len(places))
+            scores.append(replace(score, low=low, high=high))
     notes = [f"Selected were {selected.in_words()}."] if selected.columns else []
     return TopicResult(scores, notes, {"": items}, baselines_of(drawn))
 

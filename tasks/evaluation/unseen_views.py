@@ -120,8 +120,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_ShownUnseenVie
     for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
-        found, errors = unseen_view_scores(searcher, motion, condition, draw)
-        scores += found
+        made_m, errors = unseen_view_scores(searcher, motion, condition, draw)
+        scores += made_m
         parts.append(replace(errors, takes=[options.take_id] * len(errors.takes)))
         if options.condition == 0:
             start = replace(motion, world_m=motion.world_m[: round(_SHOWN_S * motion.rate_hz)])
@@ -213,16 +213,16 @@ def paper_table(scores: Sequence[Score]) -> list[TextTable]:
     return [TextTable(caption, ("motion", "paper", "VNect", *map(in_words, methods)), tuple(rows))] if rows else []
 
 
-def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
+def _figures(made_m: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
     """Return errors of a motion, and how far its feet slide where a rate is given (its trajectory must be known)."""
-    known = found[np.isfinite(found).all(axis=(1, 2))]
+    known = made_m[np.isfinite(made_m).all(axis=(1, 2))]
     centred = known - mid_hip(known)[:, None]
     figures = {
-        "error_root_kept": _mean(root_centred_error_m(found, truth)),
-        "error_root_removed": _mean(root_removed_error_m(found, truth)),
+        "error_root_kept": _mean(root_centred_error_m(made_m, truth)),
+        "error_root_removed": _mean(root_removed_error_m(made_m, truth)),
         "jitter": jitter_m(centred),
     }
-    return figures if rate_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=rate_hz)}
+    return figures if rate_hz is None else {**figures, "foot_slide": foot_slide_m(made_m, truth, rate_hz=rate_hz)}
 
 
 def _mean(values: Array) -> float:

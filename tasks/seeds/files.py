@@ -135,8 +135,8 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     seed_index, density = int(draw["seed_index"][0]), str(draw["density"][0])
     (seeds_ref,) = (one for one in manifest.inputs if "seeds" in store.manifest(one).tables)
     seeds = store.read(seeds_ref, "seeds", columns=["seed_index", "pair17_m"])
-    own = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
-    chart = PairChart(np.array(seeds["pair17_m"][own], dtype=np.float64))
+    seed_row = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
+    chart = PairChart(np.array(seeds["pair17_m"][seed_row], dtype=np.float64))
     positions = chart.positions(np.array(draw["parameters"][0], dtype=np.float64))
     return DrawSeed(_pair_file(store, manifest, positions, f"draws@{ref.key}#{row}"), ref, row, density)
 

@@ -90,8 +90,8 @@ def check_study(sections: Mapping[str, Any]) -> None:
     Raises:
         InputError: Names the file and what is wrong with it, or the key that asks for what is not there.
     """
-    own, ingest = sections["seeds"], sections.get("ingest")
-    for file in own.files:
+    section, ingest = sections["seeds"], sections.get("ingest")
+    for file in section.files:
         load_seed(file)
     if ingest is None or any(family.takes is None for family in ingest.pairs.values()):
         return  # what lies in a folder is read with its files
@@ -100,7 +100,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     has_annotations = bool(
         ingest.annotations or ingest.videos or (takes and (video.num_videos or video.num_random_views))
     )
-    _check_sources(own, [take for take in takes if take not in ingest.held_out], has_annotations=has_annotations)
+    _check_sources(section, [take for take in takes if take not in ingest.held_out], has_annotations=has_annotations)
 
 
 def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_annotations: bool) -> None:
@@ -159,9 +159,9 @@ def _of_videos(
         facts = SequenceFacts.of(video)
         others = [take for take in takes.values() if not shares_takes(take, video)]
         if others and is_video(facts) and not facts.is_held_out and facts.num_persons >= 2:
-            own = parameters.part(OverTimeSeeds, first_index=first_index + parameters.num_over_time * len(shards))
+            options = parameters.part(OverTimeSeeds, first_index=first_index + parameters.num_over_time * len(shards))
             read = {"annotations": [video], "poses": others, "joint_limits": inputs.of("joint_limits")}
-            shards.append(SEEDS.shard(inputs, "over_time", f"{video.partition}-{video.name}", own, read))
+            shards.append(SEEDS.shard(inputs, "over_time", f"{video.partition}-{video.name}", options, read))
     return shards
 
 

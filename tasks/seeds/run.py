@@ -185,14 +185,14 @@ def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> Artif
     takes = np.concatenate([read_motion(store, take, "pair17_m")["pair17_m"] for take in shard.refs("poses")])
     takes = takes[evenly_spread(len(takes), MAX_PAIRS)]
     database = cache(lambda: database_of_draws(takes, np.deg2rad(ProjectionsParameters().pitches_deg).tolist()))
-    found: dict[PairPlace, tuple[np.ndarray, float]] = {}
+    lifted_places: dict[PairPlace, tuple[np.ndarray, float]] = {}
     for own in couples.values():
-        found |= lift_couple(store, ref, own, wanted, database)
+        lifted_places |= lift_couple(store, ref, own, wanted, database)
     known = op14_from_working(takes, PAIR17)
-    places = sorted(wanted.intersection(found))
+    places = sorted(wanted.intersection(lifted_places))
     pairs = [
         gauge_fix(as_pair17(people, takes[nearest_rigid(known, people, count=1).draw[0]]))
-        for people, _ in (found[place] for place in places)
+        for people, _ in (lifted_places[place] for place in places)
     ]
     pairs_m = np.array(pairs).reshape(-1, 2, PAIR17.num_joints, 3)
     quality = seed_quality(pairs_m, read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
@@ -239,13 +239,13 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
     # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
     possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
-    own = options.first_index + np.arange(len(growth.pairs_m))
+    seed_indices = options.first_index + np.arange(len(growth.pairs_m))
     columns = _columns(
         "grown",
-        own,
+        seed_indices,
         growth.pairs_m,
         growth.log_prior,
-        parent_seed_index=np.concatenate([*(table["seed_index"] for table in tables), own])[growth.parent],
+        parent_seed_index=np.concatenate([*(table["seed_index"] for table in tables), seed_indices])[growth.parent],
         generation=growth.generation,
         image_distance_m=growth.image_distance_m,
         **_places(placed, growth.entry),

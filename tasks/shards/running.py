@@ -115,8 +115,8 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
     began_s, started, spent_s = time.time(), time.perf_counter(), time.thread_time()
     try:
         store = Store(store_root)
-        if not shard.replaces and (found := store.find(shard.stage, shard.key)) is not None:
-            return Result(found.ref, found.timings.get(SHARD_S, 0.0), None)
+        if not shard.replaces and (manifest := store.find(shard.stage, shard.key)) is not None:
+            return Result(manifest.ref, manifest.timings.get(SHARD_S, 0.0), None)
         store.measure()
         with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
             if shard.stage not in _BEGUN:

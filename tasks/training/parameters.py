@@ -87,7 +87,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
             for one in own.models:
                 wanted |= own._models(one, name if len(own.models) == 1 else f"{one}_{name}")
         known = {seeded: model for name in MODELS for seeded, model in self._models(name, name).items()} | wanted
-        found: dict[str, NamedModel] = {}
+        models: dict[str, NamedModel] = {}
         for name in sorted(wanted):
             chain = [name]
             while (start := known[chain[-1]].start) is not None:
@@ -100,14 +100,14 @@ class TrainingParameters(CurationSettings, SweptParameters):
                         f"training: '{chain[-1]}' starts from '{start}', which is not trained on {min(missing)}"
                     )
                 chain.append(start)
-            found |= {one: known[one] for one in reversed(chain) if one not in found}
+            models |= {one: known[one] for one in reversed(chain) if one not in models}
         free = [name for name, model in MODELS.items() if model.is_of_any_skeleton]
-        for name, model in found.items():
+        for name, model in models.items():
             if (skeleton := model.section.skeleton) != BODY22.name and model.kind not in free:
                 raise InputError(
                     f"training.models: '{name}' is of {BODY22.name} alone; of {skeleton} can be {', '.join(free)}"
                 )
-        return found
+        return models
 
     def _models(self, kind: str, name: str) -> dict[str, NamedModel]:
         """Return a model with each seed, by name; one that is no network has one."""

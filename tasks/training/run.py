@@ -162,10 +162,10 @@ def _judge(name: str, trained: Trained, items: Callable[[], Iterator[TrainingIte
 
 
 def _by_take(keys: Sequence[VariantKey]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, tuple[str, ...]] = {}
+    by_take: dict[str, tuple[str, ...]] = {}
     for key in keys:
-        found[key.take_id] = (*found.get(key.take_id, ()), key.variant_id)
-    return found
+        by_take[key.take_id] = (*by_take.get(key.take_id, ()), key.variant_id)
+    return by_take
 
 
 def _array_rows(options: TrainingSegmentParameters, arrays: Arrays) -> dict[str, list[Any]]:

@@ -44,9 +44,9 @@ class ActorNetwork(WindowNetwork):
 
     def loss(self, batch: Batch) -> Tensor:
         """Return the mean squared error and the divergence, weighed."""
-        found = self._encode(batch)
-        moved = self._decode(batch, draw_latent(found, batch["noise_z"]))
-        return ((moved - _change(batch)) ** 2).mean() + self.settings.divergence_weight * divergence(found)
+        encoded = self._encode(batch)
+        moved = self._decode(batch, draw_latent(encoded, batch["noise_z"]))
+        return ((moved - _change(batch)) ** 2).mean() + self.settings.divergence_weight * divergence(encoded)
 
     def forward(self, batch: Batch, *, is_posterior: bool = False) -> Tensor:
         """Return how far both move, by z of the noise or of the answer."""
@@ -102,7 +102,7 @@ class Action2MotionNetwork(WindowNetwork):
         known = self.known(batch["condition"]) + self.ends(_ends(batch))
         prior = posterior = first = second = torch.zeros_like(known)
         num_frames, num_values = batch["template_m"].flatten(2).shape[1:]
-        last, apart, found = known.new_zeros(len(known), num_values), known.new_zeros(()), []
+        last, apart, unrolled = known.new_zeros(len(known), num_values), known.new_zeros(()), []
         for frame in range(num_frames):
             here = torch.cat([known, known.new_full((len(known), 1), frame / num_frames)], -1)
             prior = self.prior(torch.cat([last, here], -1), prior)
@@ -115,13 +115,13 @@ class Action2MotionNetwork(WindowNetwork):
             first = self.first(torch.cat([last, z, here], -1), first)
             second = self.second(first, second)
             last = self.out(second)
-            found.append(last)
-        return torch.stack(found, 1), apart
+            unrolled.append(last)
+        return torch.stack(unrolled, 1), apart
 
 
-def _divergence_between(found: Tensor, prior: Tensor) -> Tensor:
+def _divergence_between(posterior: Tensor, prior: Tensor) -> Tensor:
     """Return the KL divergence of normals from others, each as means and logarithms of variances, mean over windows."""
-    (mean, log_variance), (middle, log_spread) = found.chunk(2, -1), prior.chunk(2, -1)
+    (mean, log_variance), (middle, log_spread) = posterior.chunk(2, -1), prior.chunk(2, -1)
     ratio = (log_variance.exp() + (mean - middle) ** 2) / log_spread.exp()
     return 0.5 * (log_spread - log_variance + ratio - 1.0).sum(-1).mean()
 

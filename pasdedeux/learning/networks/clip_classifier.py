@@ -64,10 +64,10 @@ class ClipClassifier(nn.Module):
     @property
     def digest(self) -> str:
         """Sha256 of labels and parameters, the first 12 digits."""
-        found = hashlib.sha256("\n".join(self.labels).encode())
+        digest = hashlib.sha256("\n".join(self.labels).encode())
         for _, values in sorted(self.state_dict().items()):
-            found.update(values.numpy().tobytes())
-        return found.hexdigest()[:12]
+            digest.update(values.numpy().tobytes())
+        return digest.hexdigest()[:12]
 
     def features(self, clips: Array) -> Array:
         """Return the features (n, 32) of clips (n, 20, 2, 22, 3), metres."""
@@ -134,12 +134,12 @@ def train_classifier(
 
     def draw() -> tuple[Mapping[str, Narrow], str]:
         which = generator.integers(len(labels), size=_CLIPS_PER_STEP)
-        found = np.stack([clips[labels[one]][generator.integers(len(clips[labels[one]]))] for one in which])
+        chosen = np.stack([clips[labels[one]][generator.integers(len(clips[labels[one]]))] for one in which])
         if not tells_roles:
-            swapped = generator.random(len(found)) < 0.5
-            found[swapped] = exchange(found[swapped])
+            swapped = generator.random(len(chosen)) < 0.5
+            chosen[swapped] = exchange(chosen[swapped])
         known = np.eye(len(labels), dtype=np.float32)[which]
-        return {"clips": _channels(found), "is_class": known}, f"clips of {', '.join(labels)}"
+        return {"clips": _channels(chosen), "is_class": known}, f"clips of {', '.join(labels)}"
 
     fit("clip_classifier", network.loss, adam(network), settings, draw, range(settings.num_steps))
     return network

@@ -82,9 +82,9 @@ class InteractionCvae(WindowNetwork):
         """Return equation 4: the sum of the losses of scales, of B and of A, means over the windows."""
         template, motion = batch["template_m"], batch["motion_m"]
         scale = batch["condition"][:, self.bones]
-        found = self.mlp1(scale)
-        again = self.mlp2(draw_latent(found, batch["noise_s"]))
-        of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(found)
+        encoded = self.mlp1(scale)
+        again = self.mlp2(draw_latent(encoded, batch["noise_s"]))
+        of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(encoded)
         moved_b = motion[:, :, 1] - template[:, :, 1]
         seen = self._seen_by_a(batch, moved_b)
         found_b, found_a = self._encode(batch, seen)
@@ -94,11 +94,11 @@ class InteractionCvae(WindowNetwork):
         of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * self._divergence(found_a)
         return of_scales + of_b + of_a
 
-    def _divergence(self, found: Tensor) -> Tensor:
+    def _divergence(self, posterior: Tensor) -> Tensor:
         """Return the divergence of a motion's z: summed over axes as published, or the mean of what is not free."""
         if self.settings.balance != "free_bits":
-            return divergence(found)
-        return axis_divergence(found).mean(0).clamp(min=_FREE_NATS).mean()
+            return divergence(posterior)
+        return axis_divergence(posterior).mean(0).clamp(min=_FREE_NATS).mean()
 
     def forward(self, batch: Batch, *, is_posterior: bool = False) -> Tensor:
         """Return how far both move from the template, by z of the batch's noise or of the answer.
@@ -115,9 +115,9 @@ class InteractionCvae(WindowNetwork):
     def scales(self, z: Narrow) -> Narrow:
         """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
         with torch.no_grad():
-            found = np.zeros((len(z), self.skeleton.num_joints), np.float32)
-            found[:, self.bones] = self.mlp2(torch.from_numpy(z)).numpy()
-        return found
+            scales = np.zeros((len(z), self.skeleton.num_joints), np.float32)
+            scales[:, self.bones] = self.mlp2(torch.from_numpy(z)).numpy()
+        return scales
 
     def _encode(self, batch: Batch, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Return means and logarithms of variances of z of B, and of A, which sees B: eqs. 2 and 3, the first lines."""
@@ -142,8 +142,8 @@ class InteractionCvae(WindowNetwork):
     def _decode_b(self, batch: Batch, z: Tensor) -> Tensor:
         """Return the change of B (W, T, 22, 3), that of plain kinematics included: equation 2, the second line."""
         plain = self._plain(batch) if self.is_residual else None
-        found = self._decode(self.g_gru1, self.known_b, batch, 1, z, batch["condition"][..., None], plain)
-        return found if plain is None else found + plain
+        decoded = self._decode(self.g_gru1, self.known_b, batch, 1, z, batch["condition"][..., None], plain)
+        return decoded if plain is None else decoded + plain
 
     def _decode_a(self, batch: Batch, z: Tensor, seen: Tensor, moved_b: Tensor) -> Tensor:
         """Return the change of A (W, T, 22, 3): equation 3, the second line."""
@@ -168,8 +168,8 @@ class InteractionCvae(WindowNetwork):
         given = torch.cat([everybody, which, own], -1)
         if moved_b is not None:
             return _UNIT_M * decoder(given, template.shape[1], self._each(template, person, moved_b))
-        found = _UNIT_M * decoder(given, template.shape[1])
-        return found - template[:, :, person] if self.settings.architecture == "whole_motion" else found
+        decoded = _UNIT_M * decoder(given, template.shape[1])
+        return decoded - template[:, :, person] if self.settings.architecture == "whole_motion" else decoded
 
     def _plain(self, batch: Batch) -> Tensor:
         """Return the change of B by plain kinematics (W, T, 22, 3): bones scaled, the root's height by its scale."""

@@ -221,18 +221,18 @@ def _next_state(given: Tensor, kept: Tensor, state: Tensor) -> Tensor:
     return update * state + (1.0 - update) * torch.tanh(of_given[2] + reset * of_state[2])
 
 
-def draw_latent(found: Tensor, noise: Tensor) -> Tensor:
+def draw_latent(posterior: Tensor, noise: Tensor) -> Tensor:
     """Return z of means and logarithms of variances (..., 2 Z) and unit noise (..., Z)."""
-    mean, log_variance = found.chunk(2, -1)
+    mean, log_variance = posterior.chunk(2, -1)
     return mean + noise * torch.exp(0.5 * log_variance)
 
 
-def divergence(found: Tensor) -> Tensor:
+def divergence(posterior: Tensor) -> Tensor:
     """Return the KL divergence from the unit normal, summed over latent axes, mean over the batch."""
-    return axis_divergence(found).sum(-1).mean()
+    return axis_divergence(posterior).sum(-1).mean()
 
 
-def axis_divergence(found: Tensor) -> Tensor:
+def axis_divergence(posterior: Tensor) -> Tensor:
     """Return the KL divergence of each latent axis (..., Z) from the unit normal."""
-    mean, log_variance = found.chunk(2, -1)
+    mean, log_variance = posterior.chunk(2, -1)
     return 0.5 * (mean**2 + torch.exp(log_variance) - 1.0 - log_variance)

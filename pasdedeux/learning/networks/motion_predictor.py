@@ -63,10 +63,10 @@ class MotionPredictor(nn.Module):
         likeness = torch.einsum("nk,nsk->ns", query, torch.relu(keys @ self.key)) + 1e-6
         seen = torch.einsum("ns,nsfc->ncf", likeness / likeness.sum(1, keepdim=True), values)
         still = self.cosines @ torch.cat([past[:, -_COMPARED:], past[:, -1:].expand(-1, HORIZON, -1)], 1)
-        found = torch.cat([still.transpose(1, 2), seen], 2)
+        features = torch.cat([still.transpose(1, 2), seen], 2)
         for number, (link, mix) in enumerate(zip(self.links, self.mixes, strict=True)):
-            found = link @ (torch.tanh(found) if number else found) @ mix
-        return self.cosines.T @ (still + found.transpose(1, 2)) + last
+            features = link @ (torch.tanh(features) if number else features) @ mix
+        return self.cosines.T @ (still + features.transpose(1, 2)) + last
 
     def loss(self, batch: Batch) -> Tensor:
         """Return the mean distance of joints, metres, over clips (n, 30, size), the compared half second included."""
@@ -78,8 +78,8 @@ class MotionPredictor(nn.Module):
         """Return the next 10 frames (n, 10, 2, 22, 3) of 20 known ones (n, 20, 2, 22, 3), metres."""
         flat = torch.from_numpy(known.reshape(*known.shape[:2], -1).astype(np.float32))
         with torch.no_grad():
-            found = self(flat)[:, _COMPARED:].numpy().astype(np.float64)
-        return found.reshape(len(known), HORIZON, *known.shape[2:])
+            predicted = self(flat)[:, _COMPARED:].numpy().astype(np.float64)
+        return predicted.reshape(len(known), HORIZON, *known.shape[2:])
 
 
 def train_predictor(clips: Array, settings: PredictorSettings, generator: np.random.Generator) -> MotionPredictor:

@@ -160,8 +160,8 @@ def train_segment(
 
 def _activities(network: WindowNetwork, draw: Draw, step: int) -> list[LogEntry]:
     """Return the activity of each rectifier on a batch."""
-    found = activity(network, {key: torch.tensor(values) for key, values in draw()[0].items()})
-    return [LogEntry(step, f"{ACTIVITY}{name}", value) for name, value in found.items()]
+    activities = activity(network, {key: torch.tensor(values) for key, values in draw()[0].items()})
+    return [LogEntry(step, f"{ACTIVITY}{name}", value) for name, value in activities.items()]
 
 
 def _part(state: Arrays, name: str) -> dict[str, Tensor]:

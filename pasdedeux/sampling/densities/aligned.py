@@ -92,8 +92,8 @@ class AlignedLikelihood(Likelihood):
         """Return the same from all candidates of every view."""
         least = np.full(len(self.directions), np.inf)
         for view, image in enumerate(self._images(pair_m)):
-            own = self._slots[view, : self._counts[view]]
-            least[view] = self.dissimilarity(image.T, self._points[own]).min(initial=np.inf)
+            view_slots = self._slots[view, : self._counts[view]]
+            least[view] = self.dissimilarity(image.T, self._points[view_slots]).min(initial=np.inf)
         return self._pooling.log_of(least * self._scale, self.sigma_l)
 
     def nearest(self, pair_m: Array) -> Nearest:
@@ -114,15 +114,15 @@ def matched_scale(likelihood: AlignedLikelihood, pairs: AnnotatedPairs) -> float
     or they coincide.
     """
     points = merge_axes(pairs.points_m, 1, -1)
-    interaction, own = [], []
+    interaction, aligned = [], []
     for row in evenly_spread(len(points), _NUM_MATCHED):
         is_similar = angle_between_directions(pairs.directions[row], pairs.directions) < VIEW_DEVIATION_RAD
         others = np.flatnonzero(is_similar & (pairs.annotation_index != pairs.annotation_index[row]))
         if len(others):
             nearest = points[others[int(np.argmin(plane_residual(points[row], points[others])))]]
             interaction.append(interaction_dissimilarity(points[row], nearest))
-            own.append(float(likelihood.dissimilarity(points[row], nearest[None])[0]))
-    median = float(np.median(own)) if own else 0.0
+            aligned.append(float(likelihood.dissimilarity(points[row], nearest[None])[0]))
+    median = float(np.median(aligned)) if aligned else 0.0
     return float(np.median(interaction)) / median if median > 0.0 else 1.0
 
 

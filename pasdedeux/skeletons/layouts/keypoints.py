@@ -221,12 +221,12 @@ KEYPOINT_LAYOUTS: dict[str, KeypointLayout] = {
 
 
 def _by_count() -> dict[int, tuple[KeypointLayout, ...]]:
-    found: dict[int, list[KeypointLayout]] = {}
+    by_count: dict[int, list[KeypointLayout]] = {}
     for layout in KEYPOINT_LAYOUTS.values():
         told = _TOLD.get(layout.name, {})
         for count in () if told.get("named_only") else (layout.num_keypoints, *told.get("first_of", ())):
-            found.setdefault(count, []).append(layout)
-    return {count: tuple(found[count]) for count in sorted(found)}
+            by_count.setdefault(count, []).append(layout)
+    return {count: tuple(by_count[count]) for count in sorted(by_count)}
 
 
 LAYOUTS_OF_COUNT: dict[int, tuple[KeypointLayout, ...]] = _by_count()

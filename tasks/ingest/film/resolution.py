@@ -65,12 +65,12 @@ def find_shots(
         networks = tuple(find_network(file) for file in options.detect)
         if networks:
             load_detector([read_again(file) for file in networks])
-        found = []
+        shots = []
         for name, path, given in films:
-            found += _shots_of(options, name, open_film(path), path, given, networks, is_held_out, take_seconds)
-    if not found:
+            shots += _shots_of(options, name, open_film(path), path, given, networks, is_held_out, take_seconds)
+    if not shots:
         raise InputError(f"video {options.id}: nothing is given of any of its shots")
-    return found
+    return shots
 
 
 def annotate(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedShot:
@@ -218,13 +218,13 @@ def _given(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Annotat
 def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
     start = parameters.num_given
     detector = load_detector([read_again(file) for file in files[start : start + parameters.num_networks]])
-    found = []
+    detections = []
     first = parameters.first_number + parameters.first_frame
     for number, frame in enumerate(shot_images(parameters, files), start=first):
         if (number - first) % parameters.detect_every == 0:
             tables = detector.detect(frame.image)
-            found += [Detection(("", number), None, table, f"frame {number}") for table in tables]
-    frames = join_detections(found, sequence_id=parameters.id, layout=parameters.keypoint_layout())
+            detections += [Detection(("", number), None, table, f"frame {number}") for table in tables]
+    frames = join_detections(detections, sequence_id=parameters.id, layout=parameters.keypoint_layout())
     return replace(frames, status=np.where(frames.confidence > 0, KeypointStatus.DETECTED, 0))
 
 

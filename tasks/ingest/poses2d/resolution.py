@@ -126,12 +126,12 @@ def find_annotations(
         decisions = decisions_of(options.people_file)
         for camera in find_cameras(options.path, options.format, skipped=skipped):
             try:
-                one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
-                planned, name = one.parameters, camera.paths[0].name
+                source = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
+                planned, name = source.parameters, camera.paths[0].name
                 is_large = sum(path.stat().st_size for path in camera.paths) > _MAX_PLANNED_BYTES
                 # Whose rows are of which sequence, and whether a file is whole yet, only its content tells.
                 is_read = not is_large or bool(decisions) or skipped is not None
-                frames = one.read() if is_read else None
+                frames = source.read() if is_read else None
                 sequences = set(frames.sequence_id) if frames else set()
                 notes = (*frames.remarks, *frames.doubts) if frames else ()
                 if planned.id in ids:
@@ -144,7 +144,7 @@ def find_annotations(
             ids.add(planned.id)
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
-            found.append(replace(one, parameters=planned.model_copy(update={"people": rows}), notes=notes))
+            found.append(replace(source, parameters=planned.model_copy(update={"people": rows}), notes=notes))
         check_sequences(decisions, known)
     return found
 

@@ -159,15 +159,15 @@ class PairOptions(CommonOptions):
         """Return the takes: those that are named, else all of which there is a file of a subject, sorted."""
         if self.takes is not None:
             return self.takes
-        found = set()
+        names = set()
         for pattern, who in product(self.patterns, self.subjects):
             first, *others = (part.format(subject=who) for part in pattern.split("{take}"))
             name = re.compile(f"{re.escape(first)}(?P<take>[^/]+){'(?P=take)'.join(map(re.escape, others))}")
             paths = self.folder.glob("*".join(map(escape, (first, *others))))
-            found |= {
+            names |= {
                 match["take"] for path in paths if (match := name.fullmatch(path.relative_to(self.folder).as_posix()))
             }
-        return tuple(sorted(found))
+        return tuple(sorted(names))
 
     def take_id(self, take: str) -> str:
         """Return the name that a take has in the study."""

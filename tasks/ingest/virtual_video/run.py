@@ -215,13 +215,13 @@ def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray)
     np.add.at(counts, (person, true_id), 1)
     names: dict[int, int] = {}
     for at in np.argsort(-counts, axis=None, kind="stable"):
-        one, name = (int(index) for index in np.unravel_index(at, counts.shape))
-        if one not in names and name not in names.values() and counts[one, name]:
-            names[one] = name
-    for one in range(len(people)):
-        names.setdefault(one, max([*names.values(), counts.shape[1] - 1]) + 1)
+        layout_index, name = (int(index) for index in np.unravel_index(at, counts.shape))
+        if layout_index not in names and name not in names.values() and counts[layout_index, name]:
+            names[layout_index] = name
+    for layout_index in range(len(people)):
+        names.setdefault(layout_index, max([*names.values(), counts.shape[1] - 1]) + 1)
     number = resolved.rows.frame
-    renamed = {int(old): names[one] for one, old in enumerate(people)}
+    renamed = {int(old): names[layout_index] for layout_index, old in enumerate(people)}
     columns = {
         "number": number,
         "take_frame": number,
@@ -238,7 +238,7 @@ def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray)
         num_people=len(people),
         num_true_people=len(np.unique(true_id)),
         num_identity_switches=identity_switches(true_id, resolved.rows.person_id, number),
-        couples=tuple((one, other) for one, other in couples),
+        couples=tuple((layout_index, other) for layout_index, other in couples),
     )
 
 

@@ -1,4 +1,4 @@
-"""The pairs of a study that differ most, selected from draws, grown and filled pairs, with their origins."""
+"""Pairs that stand for all of a study: repaired ones, else draws, grown and filled ones, with their origins."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
+from pasdedeux.plain_text import counted
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
@@ -34,9 +35,10 @@ class SelectedPairs:
     Args:
         columns: Columns of the table `selected_pairs`; none where nothing is plausible.
         refs: Artifacts that they are in.
-        num_draws: Draws of chains, but for those of the prior alone.
-        num_grown: Grown and filled pairs.
-        num_plausible: How many of both are plausible.
+        num_draws: Draws of chains, but for those of the prior alone; none where there are repaired pairs.
+        num_grown: Grown and filled pairs; none where there are repaired pairs.
+        num_repaired: Repaired pairs.
+        num_plausible: How many of them all are plausible.
         num_independent: Effective sample size of all chains, and number of grown, filled and repaired pairs that
             differ, both of what is plausible.
         radius_m: D_C below which two pairs counted as one, metres.
@@ -46,16 +48,19 @@ class SelectedPairs:
     refs: tuple[ArtifactRef, ...]
     num_draws: int
     num_grown: int
+    num_repaired: int
     num_plausible: int
     num_independent: float
     radius_m: float
 
     def in_words(self) -> str:
         """Describe the selection, its sources, and the number of independent pairs."""
+        origins = {"draw": self.num_draws, "grown or filled pair": self.num_grown, "repaired pair": self.num_repaired}
+        named = [counted(count, thing) for thing, count in origins.items() if count]
         return (
             f"{len(self.columns.get('rank', ())):,} pairs, at least {100 * self.radius_m:.0f} cm from each other, of "
-            f"{self.num_draws:,} draws and {self.num_grown:,} grown and filled pairs, {self.num_plausible:,} of them "
-            f"plausible, which are worth {self.num_independent:,.0f} independent ones"
+            f"{' and '.join(named)}, {self.num_plausible:,} of them plausible, which are worth "
+            f"{self.num_independent:,.0f} independent ones"
         )
 
 
@@ -81,15 +86,19 @@ class _PlausibleRows:
 def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> SelectedPairs:
     """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are passed over.
 
-    Draws of the prior alone, a baseline, are passed over too.  Plausible is what keeps the joint limits and has a log
-    prior of `MIN_LOG_PRIOR` at least.  One artifact is in memory at a time, and all pairs of no chain that differ.
+    Where pairs were repaired, only those are selected from: they are what became of grown and filled pairs, and draws
+    of chains lie farther from real pairs.  Draws of the prior alone, a baseline, are passed over.  A pair is plausible
+    if it keeps the joint limits and has a log prior of at least `MIN_LOG_PRIOR`.  One artifact is in memory at a time,
+    and all pairs of no chain that differ.
 
     Raises:
         InputError: Nobody knows how a chain went.
     """
     manifests = [store.manifest(ref) for ref in refs]
-    grown = [manifest for manifest in manifests if is_set(manifest)]
     drawn = [manifest for manifest in manifests if "draws" in manifest.tables and knows_annotations(manifest)]
+    repaired = [manifest for manifest in drawn if not is_chain(manifest)]
+    grown = [] if repaired else [manifest for manifest in manifests if is_set(manifest)]
+    drawn = repaired or drawn
     limits = read_limits(store, refs)
     chains = _read_chains(store, manifests)
     selector = PairSelector(count)
@@ -110,8 +119,8 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
                 prior = PriorSettings.model_validate(dict(manifest.parameters), extra="ignore")
                 rows = rows[seed_quality(pairs[rows], limits, prior).is_possible]
             num_plausible += len(rows)
-            rows = rows[singles.add(pairs[rows], *np.ones((2, len(rows))))]
-        selector.add(pairs[rows], np.full(len(rows), share), log_prior[rows])
+            rows = rows[singles.add(pairs[rows], np.ones(len(rows)))]
+        selector.add(pairs[rows], np.full(len(rows), share))
         num_independent += share * len(rows)
         parts.append(_PlausibleRows(first, manifest, rows))
         first += len(rows)
@@ -128,8 +137,9 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     return SelectedPairs(
         columns=columns,
         refs=tuple(dict.fromkeys(part.manifest.ref for part, _ in chosen)),
-        num_draws=sum(manifest.tables["draws"].rows for manifest in drawn),
+        num_draws=0 if repaired else sum(manifest.tables["draws"].rows for manifest in drawn),
         num_grown=sum(manifest.tables["seeds"].rows for manifest in grown),
+        num_repaired=sum(manifest.tables["draws"].rows for manifest in repaired),
         num_plausible=num_plausible,
         num_independent=num_independent,
         radius_m=selection.radius_m,

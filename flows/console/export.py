@@ -23,7 +23,9 @@ def export(
     units: Annotated[Units, Option(help="Lengths of their BVH files; `source`: as in each source's file.")] = "cm",
     select: Annotated[
         int | None,
-        Option(min=1, metavar="N", help="Of draws:study, with its grown and filled pairs: the N that differ most."),
+        Option(
+            min=1, metavar="N", help="Of draws:study: N pairs that stand for all, repaired ones where there are any."
+        ),
     ] = None,
     verdict: Annotated[
         Literal["pass", "warn"] | None,
@@ -61,7 +63,7 @@ def export(
       pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
       pasdedeux export contacts:duets --format csv --out contacts   # who touches whom where, frame by frame
-      pasdedeux export draws:duets --select 500 --out selected      # the most different of its pairs
+      pasdedeux export draws:duets --select 500 --out selected      # pairs that stand for all
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
     options |= {"all_methods": True} if all_methods else {}

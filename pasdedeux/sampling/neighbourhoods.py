@@ -76,7 +76,7 @@ def fill(
     charts = [PairChart(pair) for pair in pairs_m]
     parameters = [_parameters(chart, pairs_m[rows]) for chart, rows in zip(charts, parents, strict=True)]
     selector = PairSelector(1, min_room=count + num)
-    selector.add(pairs_m, *np.ones((2, count)))
+    selector.add(pairs_m, np.ones(count))
     rounds: list[tuple[npt.NDArray[Any], ...]] = []
     num_filled = num_tried = 0
     is_full = False
@@ -96,7 +96,7 @@ def fill(
             )
             quality = seed_quality(means, limits, prior)
             kept = np.flatnonzero(quality.is_possible & (quality.log_prior >= MIN_FILLED_LOG_PRIOR))
-            kept = kept[selector.add(means[kept], *np.ones((2, len(kept))))]
+            kept = kept[selector.add(means[kept], np.ones(len(kept)))]
             rounds.append((means[kept], parents[rows[kept]], weights[kept], quality.log_prior[kept]))
             num_filled += len(kept)
             num_tried += len(rows)

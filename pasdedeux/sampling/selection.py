@@ -1,14 +1,16 @@
-"""Selection of pairs that differ: farthest-point selection among any number of pairs, in bounded memory.
+"""Selection of pairs that stand for many: greedy medoids among any number of pairs, in bounded memory.
 
 Pairs are compared by D_C, by which coverage is judged.  A pair that is nearer than a radius to one that is kept is
 dropped, and its weight goes there.  When more are kept than there is room for, the radius doubles (Charikar et al.
-2004), so that no pair is farther than two radii from all that are kept.  Of these the soundest one is chosen first,
-then time and again the one that is farthest from all chosen (Gonzalez 1985): asking for more keeps the first ones.
+2004), so that no pair is farther than two radii from all that are kept.  Of these, time and again that one is chosen
+which most reduces the mean distance of all pairs from the nearest chosen one (Nemhauser, Wolsey and Fisher 1978, by
+lazy evaluation as Minoux 1978 has it): asking for more keeps the first ones.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import heapify, heappop, heapreplace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,14 +20,17 @@ from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn, turned_gap
+from pasdedeux.spread import evenly_spread
 
 DUPLICATE_M = 0.02
 """D_C below which two pairs count as one: the error of an annotated joint."""
 MIN_LOG_PRIOR = -200.0
 """Log prior below which a pair is not plausible: every joint 17 cm off, where sigma_p is 5 cm."""
-MIN_ROOM = 4096
-"""Pairs kept at least, to choose from: the more, the less the radius has to grow."""
+MIN_ROOM = 16384
+"""Pairs kept at least: the more, the less the radius has to grow, which would thin out what is frequent."""
 _ROOM_FOR_EACH = 4
+_NUM_REPRESENTED = 1024
+"""Pairs whose mean distance from the chosen ones is reduced, at most, evenly spread over those kept."""
 _SLACK_M = 1e-9
 """Rounding error allowed for a bound."""
 
@@ -53,7 +58,6 @@ class _Kept(NamedTuple):
     points: Array
     lengths: Array
     weight: Array
-    soundness: Array
     number: npt.NDArray[np.int64]
 
 
@@ -77,13 +81,12 @@ class PairSelector:
         self._kept: _Kept | None = None
         self._num_kept = self._num_added = 0
 
-    def add(self, pairs_m: npt.NDArray[np.floating], weight: Array, soundness: Array) -> npt.NDArray[np.bool_]:
+    def add(self, pairs_m: npt.NDArray[np.floating], weight: Array) -> npt.NDArray[np.bool_]:
         """Take in pairs (pair, person=2, joint, 3), metres; return which are like none before, (pair,).
 
         Args:
             pairs_m: Pairs, all with the same joints.
             weight: What each counts, (pair,).
-            soundness: How plausible each is, (pair,), greater is better.
 
         Raises:
             InputError: A coordinate is not finite.
@@ -93,10 +96,10 @@ class PairSelector:
         points = np.asarray(pairs_m, dtype=np.float64).reshape(len(pairs_m), pairs_m.shape[1] * pairs_m.shape[2], 3)
         points = points - points.mean(axis=1, keepdims=True)
         number = self._num_added + np.arange(len(points))
-        new = _kept(points, weight, soundness, number)
+        new = _kept(points, weight, number)
         if self._kept is None:
             empty = np.zeros(self._room + 1)
-            self._kept = _kept(np.zeros((len(empty), *points.shape[1:])), empty, empty, empty.astype(np.int64))
+            self._kept = _kept(np.zeros((len(empty), *points.shape[1:])), empty, empty.astype(np.int64))
         is_new = np.zeros(len(points), dtype=bool)
         row = 0
         while row < len(points):
@@ -113,19 +116,41 @@ class PairSelector:
         count = min(self._num_selected, self._num_kept)
         if self._kept is None or not count:
             return Selection(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), self._radius_m)
-        points, lengths, weight, soundness, number = self._kept
+        points, lengths, weight, number = self._kept
         rows = slice(self._num_kept)
-        kept = _Kept(points[rows], lengths[rows], weight[rows], soundness[rows], number[rows])
+        kept = _Kept(points[rows], lengths[rows], weight[rows], number[rows])
+        chosen, distance_m = _representatives(kept, count), np.empty(count)
         nearest = np.zeros(self._num_kept, dtype=np.int64)
-        chosen, distance_m = np.empty(count, dtype=np.int64), np.empty(count)
-        _choose(kept, int(np.argmax(kept.soundness)), chosen, distance_m, nearest)
+        _compare_chosen(kept, chosen, distance_m, nearest)
         total = np.asarray(np.bincount(nearest, kept.weight, count), dtype=np.float64)
         return Selection(kept.number[chosen], distance_m, total, self._radius_m)
 
 
-def _kept(points: Array, weight: Array, soundness: Array, number: npt.NDArray[np.int64]) -> _Kept:
-    lengths = np.linalg.norm(points, axis=-1)
-    return _Kept(np.ascontiguousarray(points), lengths, np.array(weight, float), np.array(soundness, float), number)
+def _kept(points: Array, weight: Array, number: npt.NDArray[np.int64]) -> _Kept:
+    return _Kept(np.ascontiguousarray(points), np.linalg.norm(points, axis=-1), np.array(weight, float), number)
+
+
+def _representatives(kept: _Kept, count: int) -> npt.NDArray[np.int64]:
+    """Return `count` rows, each the one that then most reduces the weighted mean distance from the nearest chosen."""
+    represented = evenly_spread(len(kept.points), _NUM_REPRESENTED)
+    apart = np.empty((len(kept.points), len(represented)), dtype=np.float32)
+    _measure(kept, represented, apart)
+    weight = kept.weight[represented]
+    nearest = np.full(len(represented), apart.max(initial=0.0))
+
+    def gain(row: int) -> float:
+        return float(np.sum(weight * np.maximum(nearest - apart[row], 0.0)))
+
+    # A gain never grows, so the first one that is still the greatest after it is computed anew is the greatest of all.
+    waiting = [(-gain(row), row) for row in range(len(apart))]
+    heapify(waiting)
+    chosen = np.empty(count, dtype=np.int64)
+    for place in range(count):
+        while (known := (-gain(waiting[0][1]), waiting[0][1])) != waiting[0]:
+            heapreplace(waiting, known)
+        _, chosen[place] = heappop(waiting)
+        nearest = np.minimum(nearest, apart[chosen[place]])
+    return chosen
 
 
 @compiled()
@@ -150,8 +175,7 @@ def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-unt
             last = found
         else:
             kept.points[count], kept.lengths[count] = new.points[row], new.lengths[row]
-            kept.weight[count], kept.soundness[count] = new.weight[row], new.soundness[row]
-            kept.number[count] = new.number[row]
+            kept.weight[count], kept.number[count] = new.weight[row], new.number[row]
             is_new[row] = True
             last = count
             count += 1
@@ -187,17 +211,25 @@ def _least_gap(limit_m, one, row, other, column, key, m, q, rotmat):  # type: ig
 
 
 @compiled()
-def _choose(kept, first, chosen, distance_m, nearest):  # type: ignore[no-untyped-def]
-    """Write the rows that are chosen, how far each was from those before, and the chosen one nearest to each row."""
+def _measure(kept, columns, apart):  # type: ignore[no-untyped-def]
+    """Write D_C of every row and some (row, column)."""
+    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    for row in range(apart.shape[0]):
+        for column in range(apart.shape[1]):
+            apart[row, column] = _least_gap(np.inf, kept, row, kept, columns[column], key, m, q, rotmat)
+
+
+@compiled()
+def _compare_chosen(kept, chosen, distance_m, nearest):  # type: ignore[no-untyped-def]
+    """Write how far each chosen row is from those before, and the chosen one nearest to each row."""
     key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
     count = kept.points.shape[0]
     gap = np.full(count, np.inf)
-    latest = first
     for place in range(len(chosen)):
-        chosen[place], distance_m[place] = latest, gap[latest]
+        latest = chosen[place]
+        distance_m[place] = gap[latest]
         for row in range(count):
             found = _least_gap(gap[row], kept, row, kept, latest, key, m, q, rotmat)
             if found < gap[row]:
                 gap[row], nearest[row] = found, place
         gap[latest], nearest[latest] = 0.0, place
-        latest = np.argmax(gap)

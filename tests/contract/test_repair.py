@@ -16,7 +16,7 @@ from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
 from storage_schema import Manifest, Store
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.draw_sets import FILLED, GROWN, is_set, read_draw_sets
+from tasks.draw_sets import FILLED, GROWN, read_draw_sets
 from tasks.judgements import verdict_of
 from tasks.seeds.files import pair_of_draw
 from tasks.selection import select_pairs
@@ -73,20 +73,21 @@ def test_what_a_pair_becomes_hangs_on_no_other_shard(repaired: Any) -> None:
     assert not {shard.key for shard in again} & {shard.key for shard in other}
 
 
-def test_repaired_pairs_are_selected_as_independent_ones(repaired: Any) -> None:
+def test_of_a_study_with_repaired_pairs_only_those_are_selected_as_independent_ones(repaired: Any) -> None:
     store, given, made = repaired
-    refs = tuple(manifest.ref for manifest in (*made, *given.of("seeds")))
+    few = ChainsParameters(**QUICK, num_chains=1, densities=("ic",), starts="seeds")
+    refs = tuple(manifest.ref for manifest in (*run(chains.plan(given, few), chains, store), *made, *given.of("seeds")))
     selected = select_pairs(store, refs, 30)
-    assert set(selected.columns["origin"]) <= {"repaired", "grown", "filled"}
-    assert "repaired" in selected.columns["origin"]
-    sets = read_draw_sets(store, refs[: len(made)] + tuple(one.ref for one in given.of("seeds") if is_set(one)))
-    pairs = np.concatenate([sets[name].pairs_m.astype(np.float64) for name in (GROWN, FILLED, "ic_repaired")])
-    quality = seed_quality(pairs, JointLimits.published())
-    pairs = pairs[quality.is_possible & (quality.log_prior >= MIN_LOG_PRIOR)]
+    assert set(selected.columns["origin"]) == {"repaired"}
+    (kept,) = read_draw_sets(store, [one.ref for one in made]).values()
+    pairs = kept.pairs_m.astype(np.float64)
+    assert (selected.num_draws, selected.num_grown, selected.num_repaired) == (0, 0, len(pairs))
+    assert f" of {len(pairs)} repaired pairs, " in selected.in_words()
+    log_prior = np.concatenate([store.read(one.ref, "draws")["log_prior"] for one in made])
+    pairs = pairs[log_prior >= MIN_LOG_PRIOR]
     assert len(pairs) == selected.num_plausible
     # No two of those that count alone are the same within 2 cm, whatever artifacts they are in.
-    num_apart = PairSelector(1, min_room=len(pairs)).add(pairs, *np.ones((2, len(pairs)))).sum()
-    assert selected.num_independent == num_apart < len(pairs)
+    assert selected.num_independent == PairSelector(1, min_room=len(pairs)).add(pairs, np.ones(len(pairs))).sum()
 
 
 def test_every_shard_learns_its_scales_with_numbers_of_its_own(repaired: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,7 +76,7 @@ def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_a
         )
         assert arrays["pair17_m"].shape == (4, 2, 17, 3)
         assert np.isnan(arrays["distance_m"][0])
-    assert words.startswith("4 pairs, at least 2 cm from each other, of 16 draws and 12 grown and filled pairs, ")
+    assert words.startswith("4 pairs, at least 2 cm from each other, of 16 draws and 12 grown or filled pairs, ")
     for text, form, said in (("draws:mine/ic-seed0", "npz", "all of a study"), ("draws:mine", "json", "cannot be")):
         with pytest.raises(InputError, match=said):
             export_selection(store, text, form, tmp_path, count=4)

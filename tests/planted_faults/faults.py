@@ -189,7 +189,7 @@ FAULTS = (
           "contract/test_evaluation_topics.py::test_only_what_was_held_out_is_judged"),
     Fault("the bound of a selection passes over pairs that are near", "pasdedeux/sampling/selection.py",
           "if bound > limit:", "if 4.0 * bound > limit:", "unit/test_selection.py::"
-          "test_what_is_selected_is_farthest_from_all_before_and_weighs_what_is_nearest_to_it"),
+          "test_each_selected_pair_brings_the_others_nearest_to_the_selection_and_weighs_what_is_nearest_to_it"),
     Fault("sets of pairs are judged at sizes of their own", "tasks/evaluation/sets.py",
           "(size, min(len(mixed), _LARGEST))", "(min(len(mixed), _LARGEST),)",
           "contract/test_sets_topic.py::test_every_set_is_judged_at_one_size_on_held_out_takes_alone"),

@@ -50,9 +50,9 @@ def annotate(
         Option(metavar="FILE", help="Annotations: .csv, COCO .json, CVAT .xml; default FILM_annotations.csv."),
     ] = None,
     settings: Annotated[
-        list[str] | None, Option("--set", metavar="KEY=C", help="A key of [[ingest.videos]], such as rate_hz=25.")
+        list[str] | None, Option("--set", metavar="KEY=C", help="A key of [[ingest.videos]], for example rate_hz=25.")
     ] = None,
-    num_corrections: Annotated[int, Option("--corrections", min=0, help="Frames to correct next, of a shot.")] = 8,
+    num_corrections: Annotated[int, Option("--corrections", min=0, help="Frames to correct next, per shot.")] = 8,
     sheet: Annotated[Path | None, Option(metavar="FILE", help="Contact sheet of those frames (jpg, png).")] = None,
     overlay: Annotated[Path | None, Option(metavar="FILE", help="The film with people drawn (mp4).")] = None,
     show_faces: Annotated[bool, Option("--show-faces", help="Do not blur faces in sheet and overlay.")] = False,

@@ -44,12 +44,12 @@ GROUPS: dict[str, dict[str, str]] = {
         "diff": "Compare two finished runs or two versions of datasets; only differences are shown, scores last.",
     },
     "Your own files": {
-        "check": "Check motions of two people, whoever made them, and show the worst.",
+        "check": "Check motion of two people from any source, and show the worst.",
         "annotate": "Annotate every frame of a film.",
         "reconstruct": "Reconstruct the 3D motion of people from 2D keypoints, with a study's projection database.",
         "retarget": "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.",
         "complete": "Fill in the unknown joints of a 3D pair, such as one from a depth camera.",
-        "generate": "Sample new bodies of person B, and the motion of both, from a trained model.",
+        "generate": "Sample new bodies for person B, and the motion of both, from a trained model.",
         "fetch": "Download freely available motion capture, and networks of detectors.",
     },
     "Datasets": {
@@ -59,9 +59,9 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Operate": {
         "verify": "Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong.",
-        "gc": "Delete unneeded artifacts of a store; without --yes only list them.",
+        "gc": "Delete unneeded artifacts of a store; without --yes, only list them.",
         "doctor": "Check the installation; exit code 1 if something is missing.",
-        "bench": "Measure kernels or whole commands, each relative to a plain form; needs a checkout.",
+        "bench": "Measure kernels or whole commands against a plain implementation; needs a checkout.",
     },
 }
 """What the help of each command begins with; `--help` lists them in these groups, without importing their modules."""
@@ -170,7 +170,7 @@ def options(
     """Build large, checked datasets of two people in close contact.
 
     A study (a TOML file) says what is built; a store (a folder) keeps what was built.  Run the same command again after
-    a change, a crash or an interruption: only what is not there yet is computed.
+    a change, a crash or an interruption: only missing results are computed.
 
     \b
       pasdedeux run                              build the built-in duets into ./store

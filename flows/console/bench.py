@@ -29,12 +29,12 @@ def bench(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure kernels or whole commands, each relative to a plain form; needs a checkout.
+    """Measure kernels or whole commands against a plain implementation; needs a checkout.
 
     \b
       pasdedeux bench              kernels of all stages
       pasdedeux bench chains       kernels of one stage
-      pasdedeux bench loader       windows to train on, beside pyarrow and `datasets`
+      pasdedeux bench loader       training windows, compared with pyarrow and `datasets`
       pasdedeux bench scale        how cost grows with size
       pasdedeux bench full-scale   the same to 10,000,000 projections, 1,000,000 annotations, 100 takes; minutes
       pasdedeux bench commands     `status`, and the demo, which is built three times; minutes

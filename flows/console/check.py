@@ -52,36 +52,38 @@ _FEW, _FEW_FILES = 8, 100
 @app.command()
 def check(
     paths: Annotated[list[Path], Argument(metavar="PATH...", help="Folders or motion files, a person or more each.")],
-    source: Annotated[Path | None, Option(metavar="PATH", help="What they were made from, a folder or files.")] = None,
-    page: Annotated[Path, Option(metavar="FILE", help="The page that is written.")] = Path("check.html"),
+    source: Annotated[
+        Path | None, Option(metavar="PATH", help="The sources of these motions: a folder or files.")
+    ] = None,
+    page: Annotated[Path, Option(metavar="FILE", help="Page to write.")] = Path("check.html"),
     unit: UnitOption = None,
     rate: RateOption = None,
     workers: Annotated[int | None, Option(min=1, help="Processes; one per core when not given.")] = None,
     fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check motions of two people, whoever made them, and show the worst.
+    """Check motion of two people from any source, and show the worst.
 
-    BVH, AMC with its ASF, C3D, TRC, npz, ExPI and SMPL are read as a study reads them: units, axes, rates and layouts
-    are told by the content.  Partners are told by the names: `waltz_A.bvh` with `waltz_B.bvh`, `60_03.bvh` with
-    `61_03.bvh`, `A/x.bvh` with `B/x.bvh`; a file of two people is a pair by itself, and two files alone are one.
+    BVH, AMC with its ASF, C3D, TRC, npz, ExPI and SMPL are read as in a study: units, axes, rates and layouts are
+    detected from the content.  Partners are found by their names: `waltz_A.bvh` with `waltz_B.bvh`, `60_03.bvh` with
+    `61_03.bvh`, `A/x.bvh` with `B/x.bvh`; a file of two people is a pair, and so are two files given alone.
 
     \b
       pasdedeux check captures                                 a folder; writes check.html
       pasdedeux check a.bvh b.bvh --unit 0.0254                two people, in inches
-      pasdedeux check variants --source takes --fail-on fail   what was made from takes, in a script
+      pasdedeux check variants --source takes --fail-on fail   variants against their takes, in a script
 
-    Checked are unit and axes, floor (height of each person's, tilt), sliding feet, jumps, out of the first frame too,
-    jerk, size, one motion or one body twice, and how deep people are in each other.  Limits are those of studies
-    (`pasdedeux study keys ingest`).  With --source each motion is judged as a variant of the source whose name its own
-    begins with: do contacts hold, do standing feet stay, is it as smooth (`pasdedeux study keys augmentation`).
+    The check covers unit and axes, floor (height for each person, tilt), sliding feet, jumps (also out of the first
+    frame), jerk, size, the same motion or body twice, and overlap of bodies.  The limits are those of a study
+    (`pasdedeux study keys ingest`).  With --source, each motion is compared with its source, whose name is the start
+    of its own: are contacts kept, do standing feet stay, is it as smooth (`pasdedeux study keys augmentation`).
 
     \b
     pass   nothing was found
-    warn   look at it: its reason says what and where
+    warn   look at it; the reason says what and where
     fail   do not use it
 
-    What cannot be read is one row that says why; the exit code is 2 then.  --json prints every figure of every person.
+    A file that cannot be read gets a row that says why, and the exit code is 2.  --json prints all figures.
     """
     with _pool(workers) as run:
         pairs, checked = _find(paths, unit or (), rate, run)

@@ -49,7 +49,7 @@ ReferenceArgument = Annotated[
 StoreOption = Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store, or s3://BUCKET/PREFIX.")]
 WorkersOption = Annotated[
     int | None,
-    Option("--workers", min=0, help="Local worker processes; one per core when not given, 0 for none but this."),
+    Option("--workers", min=0, help="Local worker processes; default: one per core; 0: compute in this process."),
 ]
 SchedulerOption = Annotated[
     str | None,
@@ -61,7 +61,7 @@ ClusterOption = Annotated[
         "--cluster", metavar="PROFILE", help="Start the Dask cluster that this file describes; it ends with the run."
     ),
 ]
-OversubscribeOption = Annotated[bool, Option("--oversubscribe", help="Allow more workers than there are cores to use.")]
+OversubscribeOption = Annotated[bool, Option("--oversubscribe", help="Allow more workers than usable cores.")]
 JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard output.")]
 
 
@@ -122,7 +122,7 @@ def existing_store(folder: Path) -> Store:
 
     store = open_store(folder)
     if not store.root.is_dir():
-        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
+        raise UnknownReference(f"there is no store in {store}; name the folder of a store with --store")
     return store
 
 

@@ -22,11 +22,11 @@ CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File
 
 @app.command()
 def curate(
-    decision: Annotated[Literal["accept", "reject", "undo"], Argument(help="What is decided; undo forgets it.")],
-    reference: Annotated[str, Argument(metavar="REF", help="Any row of what it is about: variants:study/take#row.")],
-    reason: Annotated[str, Option("--reason", metavar="TEXT", help="Why, for those who read it later.")] = "",
+    decision: Annotated[Literal["accept", "reject", "undo"], Argument(help="The choice; undo forgets it.")],
+    reference: Annotated[str, Argument(metavar="REF", help="Any row of the item: variants:study/take#row.")],
+    reason: Annotated[str, Option("--reason", metavar="TEXT", help="Why, for later readers.")] = "",
     frames: Annotated[
-        str | None, Option(metavar="FIRST-LAST", help="Only this clip of a motion, in frames of the video.")
+        str | None, Option(metavar="FIRST-LAST", help="Only this clip of a motion (frames of the video).")
     ] = None,
     curation: CurationOption = CURATION,
     store: StoreOption = Path("store"),
@@ -38,10 +38,10 @@ def curate(
       pasdedeux curate undo "variants:duets/waltz#120"
       pasdedeux curate reject "motions:duets/waltz#0" --frames 30-45 --reason "foot lost"
 
-    Rows are counted from 0, as by `show`; a variant has a row for each frame and person, and any of them stands for
-    all of it.  The answer names what was meant.  The file has a line for each choice: name and content of the thing,
-    and the reason.  Name it in a study (`[curation] file`): exports, training and published datasets then leave out
-    what is rejected, as long as its content is the same.  `export --curation FILE` heeds it without a study.
+    Rows are counted from 0, as in `show`.  A variant has a row for each frame and person; any of its rows selects the
+    whole variant.  The output names what was selected.  The file has a line for each choice, with name, content
+    digest and reason.  If a study names the file (`[curation] file`), exports, training and published datasets leave
+    out rejected items while their content stays the same.  `export --curation FILE` uses it without a study.
     """
     clip = re.fullmatch(r"(\d+)-(\d+)", frames) if frames is not None else None
     if frames is not None and clip is None:

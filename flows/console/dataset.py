@@ -38,9 +38,9 @@ app.add_typer(_group, name="dataset")
 @_group.command()
 def create(
     name: Annotated[str, Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
-    study: Annotated[str, Option("--study", help="Study whose last run is meant.")] = "duets",
+    study: Annotated[str, Option("--study", help="Study whose last run is used.")] = "duets",
     stages: Annotated[
-        list[str] | None, Option("--stage", metavar="STAGE", help="This stage alone; may be given again.")
+        list[str] | None, Option("--stage", metavar="STAGE", help="Only this stage; may be given again.")
     ] = None,
     version: Annotated[str | None, Option("--version", help="Version; the next number when not given.")] = None,
     note: Annotated[str, Option("--note", help="A line about it.")] = "",
@@ -53,7 +53,7 @@ def create(
       pasdedeux dataset create salsa --study cmu_salsa
       pasdedeux dataset create salsa --study cmu_salsa --stage augmentation --version 2.0
 
-    Then `variants:salsa@2.0` names its rows, here and in Python.
+    Then `variants:salsa@2.0` names its rows, on the command line and in Python.
     """
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
@@ -110,8 +110,8 @@ def push(
       pasdedeux dataset push salsa@3 s3://bucket/datasets
       pasdedeux dataset pull salsa s3://bucket/datasets --store elsewhere
 
-    Only what is not there yet is sent, the list last: a push that was cut off leaves nothing half-visible, and the same
-    command goes on.
+    Only missing files are sent, the list last.  An interrupted push leaves nothing visible, and the same command
+    continues it.
     """
     opened = open_store(store)
     with in_use(opened):
@@ -126,7 +126,7 @@ def pull(
 ) -> None:
     """Copy a version of a dataset (default: the newest), with everything it was computed from, into a store.
 
-    Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
+    The digest of every file is checked.  `rerun`, `diff`, `export` and `run` then work as for a dataset built here.
     """
     opened = open_store(store)
     dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
@@ -138,10 +138,10 @@ def write(
     label: _LabelArgument,
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder to write; one that has --since is updated.")],
     since: Annotated[
-        str, Option("--since", metavar="NAME@V", help="Version that the folder has: write what is new.")
+        str, Option("--since", metavar="NAME@V", help="Version already in the folder: write only what is new.")
     ] = "",
     withhold: Annotated[
-        list[str] | None, Option("--withhold", metavar="SOURCE", help="Source that may not leave; may be given again.")
+        list[str] | None, Option("--withhold", metavar="SOURCE", help="Source to leave out; may be given again.")
     ] = None,
     store: StoreOption = Path("store"),
     as_json: JsonOption = False,
@@ -152,8 +152,8 @@ def write(
       pasdedeux dataset write salsa@3 --out salsa
       pasdedeux dataset write salsa@4 --out salsa --since salsa@3
 
-    What was rejected, or comes from a source that may not leave, is not in it.  Who was interrupted says the same
-    again.  `rerun FOLDER` builds it anew by its record.
+    Rejected items and withheld sources are left out.  After an interruption, repeat the command.  `rerun FOLDER`
+    builds the folder again from its record.
     """
     opened = open_store(store)
     with in_use(opened):
@@ -176,9 +176,9 @@ def read(
     store: StoreOption = Path("store"),
     as_json: JsonOption = False,
 ) -> None:
-    """Bring a dataset's folder into a store, where it is as one that was made there.
+    """Read the folder of a dataset into a store, as if it had been built there.
 
-    Every file is digested on the way.
+    The digest of every file is checked.
     """
     opened = open_store(store)
     dataset, num_new = read_folder(folder, opened)

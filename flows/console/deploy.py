@@ -40,7 +40,7 @@ def deploy(
     oversubscribe: OversubscribeOption = False,
     scheduler: SchedulerOption = None,
     cluster: ClusterOption = None,
-    pool: Annotated[str, Option(help="Work pool; made where it is missing.")] = "pasdedeux",
+    pool: Annotated[str, Option(help="Work pool; created if missing.")] = "pasdedeux",
 ) -> None:
     """Deploy a study to a Prefect server, as a build that runs on a schedule or on request.
 
@@ -59,7 +59,7 @@ def deploy(
     opened = open_store(store)
     make_plan(chosen, known, opened)
     if cron is not None and every is not None:
-        raise PlanError("--cron and --every are two schedules; give one of them")
+        raise PlanError("--cron and --every are both schedules; give only one")
     telemetry_off()
     from prefect.client.schemas.schedules import CronSchedule
     from prefect.settings import get_current_settings
@@ -74,8 +74,8 @@ def deploy(
     address = get_current_settings().api.url
     if address is None:
         raise PlanError(
-            "no Prefect server is named: start one (PREFECT_SERVER_ANALYTICS_ENABLED=false prefect server start "
-            "--background) and set PREFECT_API_URL, for example to http://127.0.0.1:4200/api"
+            "no Prefect server is set: start one (PREFECT_SERVER_ANALYTICS_ENABLED=false prefect server "
+            "start --background) and set PREFECT_API_URL, for example to http://127.0.0.1:4200/api"
         )
     check_server(address, lambda text: echo(text, err=True))
     from flows.schedules import deploy as put

@@ -266,9 +266,9 @@ def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
         f"{size_text(work.num_bytes)}" + (f", at most {gigabytes} GB per process" if gigabytes else "")
     )
     if work.num_measured < work.num_shards:
-        lines.append(f"{work.num_measured} of them were measured themselves; others take what these did")
+        lines.append(f"{work.num_measured} of them were measured; the others are assumed to take as long")
     if work.unknown:
-        lines.append(f"not counted, as it was not measured: {', '.join(work.unknown)}")
+        lines.append(f"not counted, because never measured: {', '.join(work.unknown)}")
     return lines
 
 

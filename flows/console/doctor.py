@@ -60,14 +60,14 @@ def _check_memory() -> str:
     total = memory_bytes()
     if total is None:
         return "unknown"
-    return _at_least(total >= _MIN_MEMORY_BYTES, f"{total / GIB:.1f} GB; 2 GB per worker is planned for")
+    return _at_least(total >= _MIN_MEMORY_BYTES, f"{total / GIB:.1f} GB; 2 GB per worker are assumed")
 
 
 def _check_store(store: Path) -> str:
     if not os.access(nearest_folder(store), os.W_OK):
-        raise _BadError(f"{store} cannot be written to")
+        raise _BadError(f"{store} is not writable")
     free = free_bytes(store)
-    return _at_least(free >= _MIN_DISK_BYTES, f"{store} can be written to, {free / GIB:.1f} GB free")
+    return _at_least(free >= _MIN_DISK_BYTES, f"{store} is writable, {free / GIB:.1f} GB free")
 
 
 def _check_kernel_cache() -> str:
@@ -82,7 +82,7 @@ def _check_prefect() -> str:
 
     address = get_current_settings().api.url
     if address is None:
-        return "none set (PREFECT_API_URL): a run starts its own and ends it"
+        return "none set (PREFECT_API_URL): a run starts and ends its own"
     check_server(address, lambda text: echo(text, err=True))
     return f"{address} answers"
 

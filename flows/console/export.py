@@ -19,29 +19,29 @@ def export(
     reference: ReferenceArgument,
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
     file_format: Annotated[str, Option("--format", metavar="NAME", help=f"{', '.join(EXPORT_FORMATS)}.")] = "npz",
-    rest_pose: Annotated[RestPose, Option(help="Of poses and variants: the source's, or a T-pose.")] = "source",
+    rest_pose: Annotated[RestPose, Option(help="For poses and variants: that of the source, or a T-pose.")] = "source",
     units: Annotated[Units, Option(help="Lengths of their BVH files; `source`: as in each source's file.")] = "cm",
     select: Annotated[
         int | None,
-        Option(
-            min=1, metavar="N", help="Of draws:study: N pairs that stand for all, repaired ones where there are any."
-        ),
+        Option(min=1, metavar="N", help="For draws:study: N pairs that represent all, repaired ones if there are any."),
     ] = None,
     verdict: Annotated[
         Literal["pass", "warn"] | None,
-        Option(help="Of files of poses: the worst verdict here; the rest lies in the folder `not_good` inside."),
+        Option(help="For files of poses: the worst verdict allowed; others go to the subfolder `not_good`."),
     ] = None,
     footage: Annotated[
-        Path | None, Option(metavar="FILE", help="Of mp4: the video to draw on; blank frames without.")
+        Path | None, Option(metavar="FILE", help="For mp4: the video to draw on; default: blank frames.")
     ] = None,
     body_model: Annotated[
-        Path | None, Option(metavar="FILE", help="Of smpl: the body model that parameters are for.")
+        Path | None, Option(metavar="FILE", help="For smpl: the body model that the parameters are for.")
     ] = None,
-    rate: Annotated[Rate, Option(help="Of motion of poses and variants: the study's, or the source's.")] = "study",
+    rate: Annotated[Rate, Option(help="For poses and variants: frame rate of the study or of the source.")] = "study",
     all_methods: Annotated[
-        bool, Option("--all-methods", help="Of files of motions and lifted_pairs: every method, not the best alone.")
+        bool, Option("--all-methods", help="For motions and lifted_pairs: every method, not only the best.")
     ] = False,
-    curation: Annotated[Path | None, Option(metavar="FILE", help="Choices; default: the study's or dataset's.")] = None,
+    curation: Annotated[
+        Path | None, Option(metavar="FILE", help="File of choices; default: that of the study or dataset.")
+    ] = None,
     store: StoreOption = Path("store"),
 ) -> None:
     """Export the rows of a reference to files, with units, licence and credits.
@@ -62,8 +62,8 @@ def export(
     \b
       pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
-      pasdedeux export contacts:duets --format csv --out contacts   # who touches whom where, frame by frame
-      pasdedeux export draws:duets --select 500 --out selected      # pairs that stand for all
+      pasdedeux export contacts:duets --format csv --out contacts   # all contacts, frame by frame
+      pasdedeux export draws:duets --select 500 --out selected      # pairs that represent all
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
     options |= {"all_methods": True} if all_methods else {}

@@ -59,12 +59,14 @@ def cmu(
     out: Annotated[Path, Option(help="Folder for the files.")],
     study: Annotated[str, Option(help="Study whose takes are downloaded if no subjects are given.")] = "everyday",
     subjects: Annotated[str | None, Option(help="Subjects, such as 60,61.")] = None,
-    takes: Annotated[str | None, Option(help="Their takes, such as 01,03; by default all that the site lists.")] = None,
+    takes: Annotated[
+        str | None, Option(help="Takes of these subjects, such as 01,03; default: all that the site lists.")
+    ] = None,
     base_url: Annotated[str, Option(help="Address of the site.")] = CMU_BASE_URL,
 ) -> None:
     """Download ASF/AMC files of the CMU motion capture database: those of a study, or of some subjects."""
     if subjects is None and takes is not None:
-        raise InputError("--takes are those of --subjects; a study names its own")
+        raise InputError("--takes belongs to --subjects; a study names its own takes")
     wanted: Mapping[str, Sequence[str] | None] = (
         takes_of_study(study)
         if subjects is None
@@ -78,10 +80,12 @@ def cmu(
 def database(
     context: typer.Context,
     out: Annotated[Path, Option(help="Folder for the files.")] = Path("cmu"),
-    study: Annotated[str, Option(help="Study of CMU's takes that is built.")] = "everyday",
+    study: Annotated[str, Option(help="Study of CMU takes to build.")] = "everyday",
     store: StoreOption = Path("store"),
     workers: WorkersOption = None,
-    is_agreed: Annotated[bool, Option("--yes", help="Begin; without it only size, time and licence are said.")] = False,
+    is_agreed: Annotated[
+        bool, Option("--yes", help="Start; without it, only size, time and licence are printed.")
+    ] = False,
     base_url: Annotated[str, Option(help="Address of the site.")] = CMU_BASE_URL,
 ) -> None:
     """Download the takes of a study and build its projection database, for `reconstruct`.
@@ -100,7 +104,7 @@ def database(
         f"{store}\n{_CREDIT.strip()}"
     )
     if not is_agreed:
-        echo("nothing was done yet; the same command with --yes begins")
+        echo("nothing was done yet; add --yes to start")
         return
     items = list(_told(fetch_cmu(wanted, out, base_url=base_url)))
     echo(f"{counted(len(items), 'file')} in {out}")
@@ -114,7 +118,7 @@ def detector(
     address: Annotated[
         str, typer.Argument(metavar="NAME_OR_ADDRESS", help="rtmo-m, or https://HOST/FILE.onnx#sha256=DIGEST.")
     ],
-    is_agreed: Annotated[bool, Option("--yes", help="Do not ask whether a named one is to be downloaded.")] = False,
+    is_agreed: Annotated[bool, Option("--yes", help="Download without asking.")] = False,
 ) -> None:
     """Download the network of a detector, once, for the studies and commands that state its name or address."""
     known = KNOWN_DETECTORS.get(address)
@@ -123,13 +127,13 @@ def detector(
         echo(f"{address}: {known.meaning}; {known.num_bytes / 1e6:.0f} MB, licence {known.licence}, from {network.url}")
         is_agreed = is_agreed or (sys.stdin.isatty() and typer.confirm("download it?"))
         if not is_agreed:
-            echo("nothing was done yet; the same command with --yes begins")
+            echo("nothing was done yet; add --yes to start")
             return
     if not network.kept.exists():
         echo(f"{network.url} is fetched, {_MAX_NETWORK_BYTES / 1e6:.0f} MB at most")
         fetch_network(network)
     check_network(network)
-    echo(f"{network.kept}: its digest is the stated one")
+    echo(f"{network.kept}: its digest is as stated")
 
 
 def fetch_network(network: NetworkAddress) -> None:
@@ -141,7 +145,7 @@ def fetch_network(network: NetworkAddress) -> None:
     """
     data = download(network.url, max_bytes=_MAX_NETWORK_BYTES, is_public=True)
     if hashlib.sha256(data).hexdigest() != network.sha256:
-        raise FetchError(f"{network.url}: another file came; its digest is not the stated one")
+        raise FetchError(f"{network.url}: the digest of the downloaded file differs from the stated one")
     coming = network.kept.with_suffix(f".{os.getpid()}")
     try:
         coming.parent.mkdir(parents=True, exist_ok=True)

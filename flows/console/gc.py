@@ -18,22 +18,24 @@ from pasdedeux.plain_text import counted
 @app.command()
 def gc(
     store: StoreOption = Path("store"),
-    days: Annotated[float, Option(min=0, max=36500, metavar="N", help="Also keep all of the last N days.")] = 7.0,
+    days: Annotated[
+        float, Option(min=0, max=36500, metavar="N", help="Also keep everything of the last N days.")
+    ] = 7.0,
     is_dry: Annotated[bool, Option("--dry-run/--yes", help="List what would be removed, or remove it.")] = True,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete unneeded artifacts of a store; without --yes only list them.
+    """Delete unneeded artifacts of a store; without --yes, only list them.
 
     \b
       pasdedeux gc --store /data/store               dry run, by stage
       pasdedeux gc --store /data/store --yes
       pasdedeux gc --store /data/store --days 0 --yes
 
-    It keeps what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names,
-    what runs of the last days made or read, and everything that any of these were computed from.  Folders of older runs
-    are removed with their reports.  So are clips that were unpacked for training, of any store, and not used in the
-    last days: who asks for them unpacks them again.  Nothing is removed while a run is in progress.  If it is killed,
-    the store stays whole, and the same command finishes the work.
+    It keeps the artifacts of datasets, of the last finished run of each stage of a study, of `TABLE:study` references
+    and of runs of the last days, and everything that these were computed from.  It removes folders and reports of
+    older runs, and clips that were unpacked for training (from any store) but not used in the last days; they are
+    unpacked again when needed.  Nothing is removed while a run is in progress.  If gc is killed, the store stays
+    intact, and the same command finishes the work.
     """
     opened = existing_store(store)
     since = datetime.now(UTC) - timedelta(days=days)

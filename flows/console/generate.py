@@ -36,21 +36,22 @@ def generate(
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
     num: Annotated[int, Option("--num", min=1, max=10_000, help="How many motions.")] = 1,
     scales: Annotated[str, Option(metavar="S,S", help="Scales of all of B's bones; drawn when not given.")] = "",
-    key_frames: Annotated[Path | None, Option(metavar="FILE", help="Poses that B goes through (JSON).")] = None,
-    seed: Annotated[int, Option(min=0, help="What is drawn follows from it.")] = 0,
+    key_frames: Annotated[Path | None, Option(metavar="FILE", help="Poses that B passes through (JSON).")] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of the random numbers.")] = 0,
     store: Annotated[Path, Option(metavar="DIR", help="Store of MODEL and TAKE.")] = Path("store"),
     unit: UnitOption = None,
     rate: RateOption = None,
     file_format: Annotated[
-        Literal["bvh"], Option("--format", help="bvh: a BVH and an npz file a person, as `export` writes them.")
+        Literal["bvh"], Option("--format", help="bvh: a BVH and an npz file per person, as `export` writes them.")
     ] = "bvh",
 ) -> None:
-    """Sample new bodies of person B, and the motion of both, from a trained model.
+    """Sample new bodies for person B, and the motion of both, from a trained model.
 
-    MODEL is NAME, NAME@STUDY/SPLIT where the store has several of that name, or a .safetensors file written by
-    `export`.  TAKE is STUDY/TAKE of a store, a reference to poses, a study file, or two motion files (BVH, AMC with its
-    ASF, positions), person A first.  B's bones are drawn from the bodies that the model learned, or scaled by --scales,
-    one scale a motion in turn.  Two steps of the interaction mesh then make bone lengths exact and restore contacts.
+    MODEL is NAME, NAME@STUDY/SPLIT if the store has several models of that name, or a .safetensors file written by
+    `export`.  TAKE is STUDY/TAKE of a store, a reference to poses, a study file, or two motion files (BVH, AMC with
+    its ASF, positions), person A first.  B's bones are drawn from the bodies that the model learned, or scaled by
+    --scales (one scale per motion, in turn).  Two steps of the interaction mesh then make bone lengths exact and
+    restore contacts.
 
     \b
       pasdedeux generate paper_cvae models/waltz --num 5 --out new

@@ -34,9 +34,9 @@ from tasks.stage import StageInputs
 
 Source = TypeVar("Source", bound=SourceOptions)
 _HOW_TO_GET_ONE = (
-    "`pasdedeux fetch database` makes a large database, of people together and of everyday motion; "
-    "`pasdedeux run duets --until projections` a small one, of built-in motion, in two minutes; a study of takes like "
-    "yours the best; name it with --database projections:STUDY"
+    "`pasdedeux fetch database` makes a large database of pairs and everyday motion; `pasdedeux run duets "
+    "--until projections` makes a small one of built-in motion in two minutes; a study of takes like "
+    "yours makes the best one: name it with --database projections:STUDY"
 )
 _FEW_POSES = 2000
 """40 s of two people; the built-in duets are 1,440 poses, the database of Yiannakides et al. (2019) 7,200."""
@@ -98,7 +98,7 @@ def _take_of_files(
     except InputError as error:
         said = in_options(str(error))
         if re.search(r"; set \w+|\[ingest\.mappings\]|persons", said):
-            said += "; `pasdedeux study new take.toml --from FILE ...` writes such keys, and TAKE may be take.toml"
+            said += "; `pasdedeux study new take.toml --from FILE ...` writes such keys; then give take.toml as TAKE"
         raise type(error)(said) from None
 
 
@@ -150,7 +150,9 @@ def find_model(text: str, store_root: Path) -> Weights:
     if len(candidates) != 1:
         named = [(ModelFacts.of(manifest), manifest.ref.key[:12]) for manifest in candidates or models]
         there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
-        which = f"say which: {', '.join(there[:12])}" if there else "the store has none; the stage training makes them"
+        which = (
+            f"say which: {', '.join(there[:12])}" if there else "the store has none; the stage `training` makes models"
+        )
         raise InputError(f"model {text}: {len(candidates)} models of the store have this name; {which}")
     return stored_weights(store, candidates[0])
 
@@ -188,7 +190,9 @@ def read_statures(texts: Sequence[str], person_ids: Iterable[int]) -> dict[int, 
         match = re.fullmatch(r"(?:(\d{1,9})=)?(\d(?:\.\d+)?)", text)
         metres = float(match[2]) if match else 0.0
         if match is None or not 0.5 <= metres <= 2.5:
-            raise InputError(f"stature '{text}' is none of METRES or PERSON=METRES; allowed: 0.5 to 2.5 m, as 1.72")
+            raise InputError(
+                f"stature '{text}' is neither METRES nor PERSON=METRES; allowed: 0.5 to 2.5 m, such as 1.72"
+            )
         statures |= dict.fromkeys([int(match[1])] if match[1] else person_ids, metres)
     return statures
 
@@ -221,7 +225,7 @@ def _find_projections(text: str | None, store_folder: Path) -> tuple[Store, list
         has = (
             f"projections of {len(studies)} studies"
             if studies
-            else "no projections, which `reconstruct` matches against"
+            else "no projections, which `reconstruct` needs as its database"
         )
         raise InputError(f"store {store} has {has}; {which}")
     return store, parts[studies[0]]
@@ -236,6 +240,7 @@ def _small_database_words(num_poses: int, num_takes: int) -> str:
     if num_poses >= _FEW_POSES:
         return ""
     return (
-        f"the database has {num_poses} poses of {counted(num_takes, 'take')}: enough for motion like its own, not for "
-        "other; `pasdedeux fetch database` brings 182 takes of CMU, then --database projections:everyday"
+        f"the database has only {num_poses} poses of {counted(num_takes, 'take')}: enough for similar "
+        "motion, not for other motion; `pasdedeux fetch database` downloads 182 takes of CMU for "
+        "--database projections:everyday"
     )

@@ -106,7 +106,7 @@ def follow_video(
         files = follow_folder(video.path, idle_s=idle_s, is_stopped=is_stopped)
         follow_lines(people, files, lines, rate_hz=rate_hz)
     for name in sorted(statures_m.keys() - people.person_ids - {EVERYBODY_ELSE}):
-        echo(f"a stature is stated for person {name}, who never came", err=True)
+        echo(f"a stature is stated for person {name}, who never appeared", err=True)
 
 
 def list_frames(folder: Path) -> list[tuple[int, Path]]:

@@ -53,12 +53,12 @@ def plan(
     """List what a run would compute and why, by stage and partition; nothing is started.
 
     \b
-    fresh    it is there and nothing it depends on has changed
-    missing  it was never built, or its files are gone
-    stale    something it depends on has changed; says what
-    pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+    fresh    it exists, and nothing it depends on has changed
+    missing  it was never built, or its files were removed
+    stale    something it depends on has changed (what is named)
+    pending  it depends on a stage that is not built yet; rebuilt only if the bytes of that stage change
 
-    --cost says what the run would take, from what each shard took when it was last computed.
+    --cost estimates time, memory and disk space from the last run of each shard.
     """
     if not cost and (workers or measured):
         raise PlanError("--workers and --measured are for --cost; give that too")

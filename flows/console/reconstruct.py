@@ -40,19 +40,25 @@ def reconstruct(
     keys: KeysOption = None,
     detections: DetectionsOption = None,
     detect: DetectOption = None,
-    database: Annotated[str | None, Option(metavar="REF", help="Projections; default: the store's only ones.")] = None,
+    database: Annotated[
+        str | None, Option(metavar="REF", help="Projections; default: the only ones in the store.")
+    ] = None,
     store: StoreOption = Path("store"),
     out: Annotated[
-        Path | None, Option(help="Folder for BVH files and a page, this one by default; with --follow a file.")
+        Path | None, Option(help="Folder for BVH files and a page (default: this folder); with --follow, a file.")
     ] = None,
     follow: Annotated[bool, Option("--follow", help="Read files while they are being written.")] = False,
     idle: Annotated[float, Option(min=0.0, metavar="S", help="End after this time without a new file, seconds.")] = 5.0,
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=C", help="A key of the source, such as rate_hz=60.")
     ] = None,
-    stature: Annotated[list[str] | None, Option(metavar="[PERSON=]M", help="Stature of all, or of a person.")] = None,
+    stature: Annotated[
+        list[str] | None, Option(metavar="[PERSON=]M", help="Stature of everybody, or of one person.")
+    ] = None,
     person: Annotated[list[int] | None, Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,
-    pitch: Annotated[float | None, Option(min=-80, max=80, metavar="DEG", help="Pitch of the camera, down.")] = None,
+    pitch: Annotated[
+        float | None, Option(min=-80, max=80, metavar="DEG", help="Pitch of the camera, positive down.")
+    ] = None,
     height: Annotated[float | None, key_option(AnnotationOptions, "camera_height_m", "--height", metavar="M")] = None,
     lag: Annotated[int, key_option(LiveOptions, "lag", metavar="FRAMES")] = LiveOptions().lag,
     units: Annotated[Literal["cm", "m"], Option(help="Unit of lengths in BVH files.")] = "cm",
@@ -91,7 +97,7 @@ def reconstruct(
         footage = {"rate_hz", "image_size_px", "focal_px", "fov_deg", "statures_m"}
         given += sorted(f"--set {key}" for key in video.model_fields_set - {"id", "path"} - footage)
         if given:
-            raise InputError(f"{given[0]} is for whole videos: with --follow, leave it out")
+            raise InputError(f"{given[0]} is for whole videos; leave it out with --follow")
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
@@ -147,7 +153,7 @@ def _reconstruct_video(
             echo(f"{sequence.sequence_id}: {doubt}", err=True)
         known = [track.person_id for track in tracks]
         if unknown := sorted(set(person_ids) - set(known)):
-            raise InputError(f"person {unknown[0]} is not in it; people: {', '.join(map(str, known)) or 'none'}")
+            raise InputError(f"the input has no person {unknown[0]}; people: {', '.join(map(str, known)) or 'none'}")
         tracks = [track for track in tracks if track.person_id in (person_ids or known)]
         if not tracks:
             raise InputError("no frame shows enough joints of a person")

@@ -52,11 +52,11 @@ def rerun(
       pasdedeux rerun 20260301T020000-salsa-3fa9c0 --store /tmp/again
       pasdedeux rerun salsa@2 --from /data/store --store /tmp/again --json
 
-    The study is the recorded one, with all its keys; input files must not have changed.  On one platform the bytes are
+    The recorded study is used, with all its keys; input files must be unchanged.  On one platform the bytes are
     the same.  If they are not, the output names the first table and column that differ by more than the tolerances of
     the data dictionary (exit code 1), and the differences of program, packages and processor.
 
-    A folder that `dataset write` made is written again from what is built, and compared file by file.
+    The folder of a dataset (`dataset write`) is built and written again, and compared file by file.
     """
     cluster = cluster_settings(workers, scheduler=scheduler, oversubscribe=oversubscribe)
     if is_folder(name):

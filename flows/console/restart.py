@@ -44,8 +44,10 @@ def restart(
     context: typer.Context,
     draw: Annotated[str, Argument(metavar="DRAW", help="One draw: draws@key#row or draws:study/partition#row.")],
     settings: SettingOption = None,
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the seed's file.")] = Path("restarts"),
-    edited: Annotated[Path | None, Option(metavar="FILE", help="The draw's JSON file after changes: the seed.")] = None,
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the file of the seed.")] = Path("restarts"),
+    edited: Annotated[
+        Path | None, Option(metavar="FILE", help="The edited JSON file of the draw, to use as seed.")
+    ] = None,
     store: StoreOption = Path("store"),
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,

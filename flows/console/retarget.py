@@ -61,29 +61,29 @@ def retarget(
     ] = None,
     rate: RateOption = None,
     model: Annotated[str | None, Option(metavar="NAME", help="Trained model: NAME, NAME@STUDY/SPLIT, file.")] = None,
-    rest_pose: Annotated[RestPose, Option(help="The source's, or a standing T-pose.")] = "source",
+    rest_pose: Annotated[RestPose, Option(help="That of the source, or a standing T-pose.")] = "source",
     units: Annotated[Units, Option(help="Lengths of BVH files; `source`: as in each source's file.")] = "cm",
 ) -> None:
     """Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.
 
-    TAKE is STUDY/TAKE of a store, a reference to poses, or motion files that need no study, one a person (BVH, AMC with
-    its ASF, positions), person A first.  The first --to is for person A, the next for B, and so on; `source` keeps
-    somebody as captured.
-    A study file, as `study new` writes it, adds what the files of its first take do not say: layouts, mappings, axes.
-    A body is a BVH or ASF file of another person, a table of joint distances in metres (CSV with
-    the columns from, to, distance_m), or joint positions with the names of body22 or SMPL (npz, JSON).
+    TAKE is STUDY/TAKE of a store, a reference to poses, or motion files (BVH, AMC with its ASF, positions), one per
+    person, person A first.  Motion files need no study.  The first --to is for person A, the next for B, and so on;
+    `source` keeps a person as captured.  A study file (`study new` writes one) adds layouts, mappings and axes that
+    the files of its first take lack. A body is a BVH or ASF file of another person, a table of joint distances in
+    metres (CSV with the columns from, to, distance_m), or joint positions with the names of body22 or SMPL (npz,
+    JSON).
 
     \b
       pasdedeux retarget duets/waltz --to tall.bvh --out waltz_tall
       pasdedeux retarget a.bvh b.bvh --to source --to 02.asf --out b_as_02
 
-    With --model a trained model gives the motion in place of the solver: NAME, or NAME@STUDY/SPLIT where the store has
-    several of that name, or a .safetensors file that `export` wrote.
+    With --model, a trained model replaces the solver: NAME, NAME@STUDY/SPLIT if the store has several models of that
+    name, or a .safetensors file written by `export`.
 
     \b
       pasdedeux retarget a.bvh b.bvh --to 02.asf --model ridge_adapted@models/cross_interaction --out b_as_02
 
-    A BVH and an npz file a person are written, as by `export`, with UNITS.txt and CREDITS.txt.
+    It writes a BVH and an npz file per person, as `export` does, with UNITS.txt and CREDITS.txt.
     """
     weights = None if model is None else find_model(model, store)
     units_m = iter(body_unit or ())

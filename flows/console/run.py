@@ -79,7 +79,7 @@ UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="Thi
 
 ForceOption = Annotated[
     list[str] | None,
-    Option("--force", metavar="STAGE", help="Compute this stage again, in place; what a dataset needs stays."),
+    Option("--force", metavar="STAGE", help="Compute this stage again, in place; datasets keep their artifacts."),
 ]
 
 
@@ -100,7 +100,7 @@ def run(
     force: ForceOption = None,
     is_preview: Annotated[bool, Option("--preview", help=f"{PREVIEW_S:g} s of each take, as <study>-preview.")] = False,
     is_profiled: Annotated[
-        bool, Option("--profile", help="Also write which process computed what when, beside the report.")
+        bool, Option("--profile", help="Also write a profile beside the report: which process computed what, and when.")
     ] = False,
     fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
@@ -112,7 +112,7 @@ def run(
       pasdedeux run                                  the built-in duets, into ./store
       pasdedeux run my.toml --store /data/store --workers 8
       pasdedeux run my.toml --set chains.num_chains=4 --until chains
-      pasdedeux run my.toml --preview                on the 4 s of most contact of each take, to look at first
+      pasdedeux run my.toml --preview                a first look: the 4 s with most contact of each take
       pasdedeux run my.toml --scheduler tcp://cluster:8786
       pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
     """
@@ -134,7 +134,7 @@ def run(
     to_build = Run(chosen, graph, opened, selection, is_profiled=is_profiled)
     build_and_report(to_build, where, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
-        echo(f"all of it: {next_command('run', study, *given, store=store, settings=settings)}")
+        echo(f"for the whole study: {next_command('run', study, *given, store=store, settings=settings)}")
 
 
 def _most_contact(sections: Mapping[str, Parameters]) -> dict[str, Parameters]:
@@ -144,7 +144,7 @@ def _most_contact(sections: Mapping[str, Parameters]) -> dict[str, Parameters]:
         return dict(sections)
     from tasks.ingest.previewing import with_most_contact  # compiles, which others need not wait for
 
-    with busy("looking for the seconds of most contact"):
+    with busy("looking for the seconds with most contact"):
         return {**sections, "ingest": with_most_contact(ingest, PREVIEW_S)}
 
 
@@ -188,7 +188,10 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
     if made.is_fresh:
         yield f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)"
         if run.is_profiled:
-            yield "no profile: nothing was computed; --force STAGE computes a stage again, another --store everything"
+            yield (
+                "no profile, because nothing was computed; use --force STAGE to recompute a stage, or another "
+                "--store to recompute everything"
+            )
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         yield f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}"
@@ -217,7 +220,7 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
     listener = make_listener(is_quiet=is_quiet)
     run = replace(run, listener=listener)
     if why_not := kernel_cache()[1]:
-        listener.note(f"compiled kernels cannot be kept, so each process compiles its own, for minutes: {why_not}")
+        listener.note(f"compiled kernels cannot be kept, so each process spends minutes compiling: {why_not}")
     try:
         if named := os.environ.get("PREFECT_API_URL"):
             check_server(named, listener.note)
@@ -256,8 +259,7 @@ def _refuse_full_disk(store: Store) -> None:
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise PlanError(
-                f"the store {store.root} cannot be made: nothing can be written in {folder}; name a folder of your own "
-                "with --store"
+                f"the store {store.root} cannot be created: {folder} is not writable; name another folder with --store"
             ) from None
     free = free_bytes(store.root)
     if free < MIN_FREE_BYTES:

@@ -42,16 +42,17 @@ def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
     rows: Annotated[
-        int | None, Option(min=0, help=f"Rows to show: {_ROWS}; of scores {_SCORE_ROWS}, or {_ROWS_OF_MANY} a topic.")
+        int | None,
+        Option(min=0, help=f"Rows to show: {_ROWS}; for scores {_SCORE_ROWS}, or {_ROWS_OF_MANY} per topic."),
     ] = None,
-    has_files: Annotated[bool, Option("--files", help="Only the paths of the Parquet files, one a line.")] = False,
+    has_files: Annotated[bool, Option("--files", help="Only the paths of the Parquet files, one per line.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Print the columns, first rows and lineage of a reference.
 
     \b
       pasdedeux show poses:duets                 every part of a table, as the last run of a study made it
-      pasdedeux show scores:duets                a table a topic, the better value marked
+      pasdedeux show scores:duets                a table per topic, the best value marked
       pasdedeux show draws@3fa9c0#17             one row: its poses, joint by joint
     """
     opened = open_store(store)

@@ -41,7 +41,7 @@ def describe_store(store: Store) -> Described:
 
 def _status_lines(store: Store, described: Described) -> Iterator[str]:
     if not described.lasts:
-        yield f"store {store}: no study was built in it yet"
+        yield f"store {store}: no study was built yet"
     for last, study in zip(described.lasts, described.described["studies"], strict=True):
         yield f"study {study['study']}, last run {study['run_id']}"
         rows = [(f"  {s['stage']}", s["num_shards"], s["num_there"], size_text(s["bytes"])) for s in study["stages"]]
@@ -57,8 +57,8 @@ def _missing_lines(store: Store, last: LatestRun, by_stage: Mapping[str, Sequenc
     there = {manifest.ref.place for manifests in by_stage.values() for manifest in manifests}
     gone = [ref for stage in last.stages for ref in last.refs(stage) if ref.place not in there]
     return [
-        f"not there: {counted(len(gone), 'artifact')}, such as {ref.stage}@{ref.key[:12]}, which "
-        f"{what_is_wrong(ref, store)}; a run of the study computes what it needs anew"
+        f"missing: {counted(len(gone), 'artifact')}, such as {ref.stage}@{ref.key[:12]}, which "
+        f"{what_is_wrong(ref, store)}; a run of the study recomputes what it needs"
         for ref in gone[:1]
     ]
 

@@ -91,7 +91,7 @@ def keys(
 
 @_group.command()
 def new(
-    file: Annotated[Path, Argument(metavar="FILE", help="The study to write, a .toml file that is not there yet.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="The study to write, a new .toml file.")],
     sources: Annotated[
         list[Path] | None, Option("--from", metavar="PATH", help="Motion of a person, or 2D poses; may be given again.")
     ] = None,

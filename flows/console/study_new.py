@@ -91,7 +91,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
             of the known formats.
     """
     if path.exists():
-        raise InputError(f"{path} is there already; choose another name or remove it")
+        raise InputError(f"{path} already exists; choose another name or remove it")
     sources = [source for file in files for source in _inspect(file, path.parent)]
     people = _with_one_draft([source for source in sources if isinstance(source, _Person)])
     videos = [source for source in sources if isinstance(source, _Video)]
@@ -188,7 +188,7 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
     by_digest = {person.sha256: person.path for person in reversed(people)}
     for person in people:
         if (other := by_digest[person.sha256]) is not person.path:
-            raise InputError(f"{other} and {person.path} are the same, byte for byte; a person has a file of their own")
+            raise InputError(f"{other} and {person.path} are identical; give one file per person")
     axes = resolve_up_axes(
         [person.motion for person in people],
         [person.taken.layout for person in people],
@@ -248,7 +248,7 @@ def _drafted(people: Sequence[_Person]) -> list[str]:
             (part.part, part.joint or "none", "sure" if part.is_sure else "A GUESS", part.reason)
             for part in draft.parts
         ]
-        lines.append(f"{path.name}: no known layout fits its joints; this mapping is drafted:")
+        lines.append(f"{path.name}: no known layout fits its joints; drafted mapping:")
         lines += format_table(("part", "joint", "is it sure", "by"), rows, text_columns=range(4))
         if draft.missing:
             lines.append(f"{path.name}: no joint was found for {', '.join(draft.missing)}; set them in the study")

@@ -25,12 +25,12 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     )
     lines = [*map(str, audit.problems), *(f"note: {note}" for note in audit.notes)]
     lines.append(
-        f"{size}: " + ("all as their manifests say" if audit.is_ok else counted(len(audit.problems), "problem"))
+        f"{size}: " + ("all match their manifests" if audit.is_ok else counted(len(audit.problems), "problem"))
     )
     damaged = {problem.stage for problem in audit.problems if problem.kind is not ProblemKind.EXTRA}
     if stages := sorted(damaged - RESERVED_NAMES):
         force = " ".join(f"--force {stage}" for stage in stages)
-        lines.append(f"what is damaged is computed again by `pasdedeux run STUDY {force}`")
+        lines.append(f"`pasdedeux run STUDY {force}` recomputes what is damaged")
     described = {
         "is_ok": audit.is_ok,
         **asdict(audit),

@@ -39,11 +39,11 @@ def view(
       pasdedeux view "draws:duets/ic-seed0#17"   at one moment
       pasdedeux view a.bvh b.bvh                 motion files, one for each person
 
-    Space plays, left and right step, up and down change the item, Home and End go to the first and the last frame, F to
-    the next frame that fails; K and X accept and reject what is shown, of a reconstruction a clip from I to O, for
-    exports and training (`curate`).
+    Keys: space plays; left and right step by a frame; up and down change the item; Home and End go to the first and
+    last frame; F goes to the next frame that fails. K accepts and X rejects the item for exports and training
+    (`curate`); for a reconstruction, I and O mark a clip first.
 
-    Only this machine can open the page; from elsewhere, `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
+    Only this machine can open the page; from another, run `ssh -L 8080:127.0.0.1:8080 HOST` first.  Ctrl-C ends it.
     """
     words = what or []
     with contextlib.ExitStack() as held:

@@ -16,7 +16,7 @@ from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
 from pasdedeux.evaluation.shown_figures import figure_label
 
-TICKS = "touch (green), overlap (red); verdicts"
+TICKS = "contact (green), overlap (red), verdicts"
 _WIDTH = 640
 _GREEN, _RED = (20, 160, 60), (220, 20, 60)
 

@@ -169,7 +169,9 @@ class Editor:
         shot.correct(frame, person_id, name, self.image_px()[person, joint])
         viewer.shelf.corrected[ref] = shot.changes_px()
         viewer.show_item(viewer.index, row)
-        viewer.panel.tell(f"{name} of {_PERSONS[person]} is annotated in frame {frame} of the film; its track follows")
+        viewer.panel.tell(
+            f"{name} of {_PERSONS[person]} is now annotated in frame {frame} of the film; its track follows"
+        )
 
     def next_to_correct(self) -> None:
         """Go to the next of the frames of film whose correction helps most."""
@@ -180,13 +182,13 @@ class Editor:
         numbers = np.unique(viewer.item.read(viewer.shelf.store, "annotations", ["frame"])["frame"])
         at = sorted(int(number) for number in np.searchsorted(numbers, wanted) if number < len(numbers))
         if not at:
-            viewer.panel.tell("tracks from both sides agree everywhere: there is nothing to correct")
+            viewer.panel.tell("nothing to correct: the tracks from both sides agree")
             return
         viewer.seek(next((frame for frame in at if frame > viewer.frame), at[0]))
-        viewer.panel.tell(f"frames to correct, those first that help most: {' '.join(map(str, wanted))}")
+        viewer.panel.tell(f"frames to correct, most useful first: {' '.join(map(str, wanted))}")
 
     def _tracked(self, ref: ArtifactRef) -> CorrectedShot:
-        self.viewer.panel.tell("tracking the joints of this shot, once")
+        self.viewer.panel.tell("tracking the joints of this shot (once)")
         return self.viewer.shelf.shot(ref)
 
     def show_limits(self) -> None:
@@ -230,7 +232,7 @@ class Editor:
         """Start chains from what is shown in a process of their own; it goes on whatever the browser does."""
         viewer = self.viewer
         if self.process is not None and self.process.poll() is None:
-            raise InputError("a restart is running; wait for its end")
+            raise InputError("a restart is already running; wait until it ends")
         ref, row = viewer.item.row(viewer.moment.row)
         seed = self.save()
         words = ["restart", f"draws@{ref.content_digest[:16]}#{row}", "--edited", str(seed)]
@@ -287,14 +289,14 @@ class Editor:
         ref, _ = viewer.item.row(row)
         views = [one for one in shelf.having("views") if ref in shelf.store.manifest(one).inputs]
         if not views:
-            raise InputError("lifting needs views of these annotations; this study has none")
+            raise InputError("the study has no views of these annotations, so they cannot be lifted")
         place = viewer.item.read(shelf.store, "annotations", ["sequence_id", "frame"])
         moment = str(place["sequence_id"][row]), int(place["frame"][row])
         at_hand = [*shelf.having("draws"), *shelf.having("seeds")]
         before, after = lift_again(shelf.store, ref, views[0], at_hand, moment, self.image_px())
         viewer.show_beside(after, before)
         moved = 100.0 * float(np.linalg.norm(after - before, axis=-1).mean())
-        viewer.panel.tell(f"lifted again: joints moved {moved:.1f} cm on average; grey is the pair of before")
+        viewer.panel.tell(f"lifted again: joints moved by {moved:.1f} cm on average; grey is the pair of before")
 
     def image_px(self) -> Array:
         """Return the 2D poses as they are now (person, joint, 2), pixels."""

@@ -79,9 +79,7 @@ def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tup
         existing = (folder / name for folder in folders if (folder / name).is_file())
         path = next((path for path in existing if _digest(path) == digest), None)
         if path is None:
-            raise InputError(
-                f"{name}, which these 2D poses are from, is not where the study says, or has changed since"
-            )
+            raise InputError(f"the film {name} of these 2D poses is missing, or has changed since it was read")
         files.append(SourceFile(path=str(path), sha256=digest))
     return tuple(files)
 

@@ -124,8 +124,8 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         nearest=partial(_nearest_poses, store, manifest.ref, grid.fill(data["op14_m"])),
         facts=(
             *(f"{name}: {verdict_words(verdict)}" for name, verdict in verdicts_of_parts(manifest).items()),
-            f"identities: persons {', '.join(map(str, grid.persons))}; a wrong one is put right with "
-            f'people_file = "people.csv" of its source in the study',
+            f"persons {', '.join(map(str, grid.persons))}; to correct identities, set people_file = "
+            '"people.csv" of the source in the study',
         ),
     )
 
@@ -197,7 +197,7 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
         camera=None if truth is None else seen.camera,
         images=images,
         say=say,
-        facts=("3D as captured, seen by this camera" if truth is not None else "2D poses alone",),
+        facts=("captured 3D, seen by this camera" if truth is not None else "2D poses only",),
     )
 
 
@@ -249,7 +249,7 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
         chains.append(curve)
 
     def say(frame: int) -> list[str]:
-        lines = [f"steps accepted since the draw before: {data['num_accepted'][frame]}"]
+        lines = [f"steps accepted since the last draw: {data['num_accepted'][frame]}"]
         matched = data["sequence_id"][frame]
         if matched is not None:
             d_i = 100.0 * float(data["dissimilarity_m"][frame])
@@ -260,7 +260,7 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
         if data["sequence_id"][frame] is None:
             return []
         pair = people.frame(frame)
-        flats = [_image_of(project_pair(pair, data["view"][frame]), "this draw, seen from its view")]
+        flats = [_image_of(project_pair(pair, data["view"][frame]), "this draw in its view")]
         evidence = _evidence(shelf.store, item.pieces[0][0])
         if not evidence:
             return flats

@@ -30,7 +30,7 @@ class LinkPane:
     def build(cls, panel: Panel, viewer: Session) -> Self:
         """Add the widgets to the panel; saving runs in the background."""
         with panel.gui.add_folder("Link and save", expand_by_default=False):
-            pane = cls(panel.gui.add_text("moment", "", hint="Copy it, or paste another one"))
+            pane = cls(panel.gui.add_text("moment", "", hint="Copy this link, or paste another one"))
             for label, save in (("Save picture", save_picture), ("Save clip", save_clip)):
                 panel.button(label, lambda event, save=save: save(viewer, event.client), is_alone=False)
         panel.on_change(pane.link, viewer.visit)
@@ -63,7 +63,7 @@ def save_clip(viewer: Session, client: Any) -> None:
     for frame in frames:
         with viewer.lock:
             if viewer.scene is not scene or viewer.frame != last:
-                raise InputError("the clip was not saved: something else was shown meanwhile")
+                raise InputError("the clip was not saved, because another item was shown meanwhile")
             viewer.seek(frame)
             last = frame
         images.append(

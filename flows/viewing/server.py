@@ -120,7 +120,7 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
                 return connection.respond(403, f"{why}\n")
             told, slash, _ = request.path[1:].partition("?")[0].partition("/")
             if not hmac.compare_digest(told.encode(), token.encode()):
-                return connection.respond(403, "refused: the address that `pasdedeux view` has printed has a token\n")
+                return connection.respond(403, "refused: the address lacks the token that `pasdedeux view` printed\n")
             if not slash and not is_socket:  # the page names its parts relative to its folder
                 moved_on = connection.respond(308, "")
                 moved_on.headers["Location"] = f"/{token}/{request.path[len(told) + 1 :]}"
@@ -165,7 +165,7 @@ def refusal(host: str, origin: str | None, *, is_socket: bool) -> str | None:
     'refused: a page of http://elsewhere.example may not talk to this viewer'
     """
     if host.partition(":")[0] not in _NAMES:
-        return "refused: this viewer answers to 127.0.0.1 and localhost alone"
+        return "refused: this viewer answers to 127.0.0.1 and localhost only"
     if (is_socket or origin is not None) and origin != f"http://{host}":
         return f"refused: a page of {origin or 'nowhere'} may not talk to this viewer"
     return None

@@ -168,7 +168,7 @@ class Shelf:
                 for index, item in enumerate(self.items(part)):
                     if (number := item.number(ref, rows.start)) is not None:
                         return Found(part, index, number)
-        raise InputError(f"'{text}' is not among what is shown here")
+        raise InputError(f"'{text}' is not part of what is shown here")
 
 
 def open_shelf(store: Store, word: str | None) -> Shelf:
@@ -188,7 +188,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
         reference = parse_reference(word)
         refs = resolve(reference, store)
         if reference.table not in GROUPS:
-            raise InputError(f"'{word}' has no people to look at; tables with people: {', '.join(GROUPS)}")
+            raise InputError(f"'{word}' contains no people; tables with people: {', '.join(GROUPS)}")
         last = read_latest(store, reference.study) if reference.study else None
         rest = [ref for stage in last.stages for ref in last.refs(stage)] if last else []
         rest = [ref for ref in rest if store.find(ref.stage, ref.key)]
@@ -207,7 +207,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
         refs = [ref for ref in refs if store.find(ref.stage, ref.key)]
         shelf = Shelf(store, refs, sections=last_sections(store, latest))
     if not shelf.parts:
-        raise InputError(f"'{word}' has no people to look at yet; tables with people: {', '.join(GROUPS)}")
+        raise InputError(f"'{word}' contains no people yet; tables with people: {', '.join(GROUPS)}")
     return shelf
 
 
@@ -239,4 +239,4 @@ def moment_in(text: str) -> str:
     try:
         return parse_qs(urlsplit(text).query).get("at", [text])[0]
     except ValueError:
-        raise InputError(f"'{text[:60]}' is no address of a moment") from None
+        raise InputError(f"'{text[:60]}' is not the address of a moment") from None

@@ -213,7 +213,7 @@ class Viewer:
             levels = self.scene.levels
             worst = 0 if levels is None else int(levels.max(initial=0))
             if not worst:
-                self.panel.tell("no frame of this item fails or is a warning")
+                self.panel.tell("no frame of this item fails or has a warning")
                 return
             bad = np.flatnonzero(levels == worst)
             self.play(False)
@@ -248,7 +248,7 @@ class Viewer:
     def list_anew(self) -> None:
         """List the items as it is asked for now, and show one that is listed."""
         self.listing.sort()
-        self.panel.tell("" if self.listing.order else "no item is so")
+        self.panel.tell("" if self.listing.order else "no item matches the filter")
         self.step_item(0)
 
     def _change_curve(self) -> None:

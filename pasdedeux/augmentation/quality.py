@@ -35,46 +35,51 @@ class Quality:
     in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
     """
 
-    num_contact_pairs: int = figure("Contacts of points of bones in the source, summed over frames")
-    bone_error_m: float = figure("Greatest difference of a bone from its target length", (1e-6, 1e-4))
+    num_contact_pairs: int = figure("Number of contact points in the source, summed over frames")
+    bone_error_m: float = figure("Largest deviation of a bone from its target length", (1e-6, 1e-4))
     contact_drift_m: float = figure(
-        "Mean change of the distance of the surfaces of contacts against the source; NaN without one", better="smaller"
+        "Mean change of the surface distance of contacts against the source; NaN without contacts", better="smaller"
     )
-    contact_drift_fk_m: float = figure("The same for plain forward kinematics with the new lengths (the baseline)")
+    contact_drift_fk_m: float = figure("Contact drift of plain forward kinematics with the new lengths (the baseline)")
     contact_drift_extremity_m: float | None = figure(
-        "Contact drift of two hands or feet; null without such a contact", (0.005, 0.02)
+        "Contact drift between two hands or feet; null without such a contact", (0.005, 0.02)
     )
     contact_drift_mixed_m: float | None = figure(
-        "Contact drift of a hand or foot on another part of a body; null without such a contact",
+        "Contact drift between a hand or foot and another part of a body; null without such a contact",
         (0.005, 0.02),
     )
     contact_drift_body_m: float | None = figure(
-        "Contact drift of bodies without hand or foot; null without such a contact", (0.01, 0.04)
+        "Contact drift between other parts of bodies; null without such a contact", (0.01, 0.04)
     )
     laplacian_error_m: float = figure("Root mean square Laplacian residual", better="smaller", words="Laplacian error")
     contact_drift_p95_m: float | None = figure(
-        "95th percentile of the change of distance of the surfaces of all contacts; null without one",
+        "95th percentile of the change of the surface distance over all contacts; null without contacts",
         (0.015, 0.05),  # no contact may be lost for a while
     )
     stance_excursion_m: float = figure(
-        "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement and "
-        "that times the greatest change of a bone of this person",
+        "Largest distance of a standing joint from its median place in that stance, beyond the movement "
+        "of the source and that movement times the largest bone change of this person",
         (0.01, 0.03),  # a third of a foot's width
     )
-    floor_penetration_m: float = figure("Greatest depth of a joint under the floor beyond the source's", (0.02, 0.06))
+    floor_penetration_m: float = figure(
+        "Largest depth of a joint under the floor, beyond that in the source", (0.02, 0.06)
+    )
     penetration_m: float = figure(
-        "95th percentile over frames of the capsule penetration between people beyond the source's",
+        "95th percentile over frames of the capsule penetration between people, beyond that in the source",
         (0.01, 0.1),
     )
     self_penetration_m: float | None = figure(
-        "The same within each person, beyond the source's and beyond plain forward kinematics with the new lengths",
+        (
+            "95th percentile over frames of the capsule penetration within each person, beyond the source and "
+            "beyond plain forward kinematics with the new lengths"
+        ),
         (0.05, 0.2),
     )
     spine_bend_rad: float | None = figure(
-        "95th percentile over frames of the greatest change of an angle between spine bones against the source",
+        "95th percentile over frames of the largest change of an angle between spine bones against the source",
         (0.6, 1.2),
     )
-    jerk_ratio: float = figure("Root mean square jerk over that of the source", (1.2, 2.0), better="nearer to 1")
+    jerk_ratio: float = figure("Root mean square jerk relative to the source", (1.2, 2.0), better="nearer to 1")
 
     def judge(self, limits: Limits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
@@ -106,7 +111,7 @@ class FrameQuality:
     Limits are wider than those of a variant, which are of means and percentiles of them.
     """
 
-    num_contact_pairs: Integers = figure("Contacts of points of bones in the source")
+    num_contact_pairs: Integers = figure("Number of contact points in the source")
     bone_error_m: Array = figure()
     contact_drift_m: Array = figure(
         "Mean change of the distance of the surfaces of contacts; NaN without one", (0.02, 0.06)
@@ -114,11 +119,11 @@ class FrameQuality:
     laplacian_error_m: Array = figure()
     stance_excursion_m: Array = figure()
     floor_penetration_m: Array = figure()
-    penetration_m: Array = figure("Capsule penetration between the two beyond the source's", (0.02, 0.12))
+    penetration_m: Array = figure("Capsule penetration between the two people, beyond that in the source", (0.02, 0.12))
     self_penetration_m: Array = figure(
         "The same within each person, beyond the source's and plain forward kinematics', summed"
     )
-    spine_bend_rad: Array = figure("Greatest change of an angle between spine bones against the source", (0.8, 1.4))
+    spine_bend_rad: Array = figure("Largest change of an angle between spine bones against the source", (0.8, 1.4))
     jerk_ratio: Array = figure(
         "Root mean square jerk over the greater of the source's there and over the take", (2.0, 5.0)
     )

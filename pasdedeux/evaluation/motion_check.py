@@ -35,13 +35,13 @@ class TouchFigures:
     """How people touch each other; nothing of it is judged, for who dances apart is no fault."""
 
     num_contacts: int = figure(
-        "Contacts: times in which two bones of different people touch without a break", words="contacts"
+        "Contacts: unbroken periods in which two bones of different people touch", words="contacts"
     )
     contact_share: float = figure("Share of the frames in which people touch", words="touching")
     mean_contact_s: float = figure("Mean length of a contact; NaN without one")
     longest_contact_s: float = figure("Length of the longest contact; 0 without one")
     inside_share: float = figure(
-        "Share of the frames in which people are deeper in each other than a capture may", words="too deep"
+        "Share of the frames in which people overlap more deeply than the limit for a capture", words="too deep"
     )
 
 
@@ -53,13 +53,15 @@ class HeldContacts:
     """How the contact of the source is kept that is kept worst."""
 
     worst_contact_m: float | None = figure(
-        "Change of the distance of the surfaces of the two bones whose contact drifts most, 95th percentile over its "
-        "frames; null without a contact",
+        "Change of the surface distance of the two bones with the largest contact drift, 95th percentile "
+        "over its frames; null without a contact",
         (0.01, 0.05),  # variants keep to 6 mm
         words="worst contact",
         complaint="the contact of {worst_contact} drifts by {worst_contact_m:.3f} m",
     )
-    worst_contact: str = figure("These bones, such as `A left_wrist and B spine3`; empty without a contact")
+    worst_contact: str = figure(
+        "The two bones with the largest contact drift, such as `A left_wrist and B spine3`; empty without a contact"
+    )
 
 
 HELD = figures_of(HeldContacts)

@@ -89,7 +89,7 @@ class Picture:
         """Return a player with its first panels only; the caption says so where there are more."""
         scene = json.loads(self.content)
         total = len(scene["panels"])
-        rest = f" The first {count} of {total} panels; all of them stand below." if total > count else ""
+        rest = f" Shown: the first {count} of {total} panels; the section below has all." if total > count else ""
         return replace(self, caption=self.caption + rest, content=_packed(scene | {"panels": scene["panels"][:count]}))
 
     @property

@@ -26,7 +26,7 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "draws": {
         "chains": {Level.PASS: "independent", Level.WARN: "not independent", Level.FAIL: "not independent"},
         "evaluation: coverage": {level: f"cover real pairs {words}" for level, words in _COMPARED.items()},
-        "evaluation: leave one out": {level: f"meet left-out images {words}" for level, words in _COMPARED.items()},
+        "evaluation: leave one out": {level: f"match left-out images {words}" for level, words in _COMPARED.items()},
     },
     "lifted pairs": {"evaluation: lifting": _COMPARED},
     "completed joints": {"evaluation: lifting completed joints": _COMPARED},

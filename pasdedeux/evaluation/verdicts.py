@@ -19,7 +19,7 @@ from pasdedeux.verdict import Level, Paired, Verdict
 FEWEST_BLOCKS = 10
 """Seconds of motion or stills below which nothing is judged."""
 _HELD_OUT = "held_out"
-_NOTHING = "nothing of it was held out"
+_NOTHING = "no data was held out for it"
 
 
 @dataclass(frozen=True)
@@ -134,11 +134,11 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     if not intervals:
         level = Level.NOT_JUDGED
         reason = (
-            f"no baseline was scored beside {method}"
+            f"no baseline was scored to compare {method} with"
             if not hardest
             else f"only {num_blocks} s of motion or stills to compare; {FEWEST_BLOCKS} are needed"
             if num_blocks
-            else f"no {thing} have figures of {method} and of every baseline"
+            else f"no {thing} have figures for both {method} and every baseline"
         )
     else:
         lead, (low, high) = sign * (mean[hardest] - mean[paired.method]), intervals[hardest]
@@ -190,13 +190,13 @@ class Criterion:
         if paired is None and items.takes and not tried:
             return None
         if paired is None or (not paired.sizes and not math.isnan(self.limit)):
-            words = f"{in_words(tried[0])} has no figure that is finite" if items.takes else _NOTHING
+            words = f"{in_words(tried[0])} has no finite figure" if items.takes else _NOTHING
             return Verdict(Level.NOT_JUDGED, words, self.figure, count=len(items.takes), thing=self.thing)
         if math.isnan(self.limit):
             return compare(paired, self.figure, self.unit, self.thing)
         value = sum(paired.sums[paired.method]) / sum(paired.sizes)
         level = Level.PASS if value <= self.limit else Level.FAIL
-        reason = "" if level is Level.PASS else f"more than {format_value(self.limit, self.unit)}, which is allowed"
+        reason = "" if level is Level.PASS else f"more than the allowed {format_value(self.limit, self.unit)}"
         more = (value, self.unit, self.limit, "allowed")
         return Verdict(level, reason, self.figure, *more, count=paired.count, thing=self.thing)
 
@@ -205,7 +205,7 @@ class Criterion:
 
         What the verdict compared is drawn with its means; other methods beside it where they have the same items.
 
-        The goal, named in the caption, is what has to be beaten: the best baseline, or what is allowed.  Where a part
+        The goal, named in the caption, is what has to be beaten: the best baseline, or the limit.  Where a part
         is held out, that alone is drawn.  Where no baseline was scored beside others, methods are drawn that were
         scored wherever most were.  Bounds, which know the ground truth, are only in tables.  None where there is
         nothing to compare, as only baselines.
@@ -235,7 +235,7 @@ class Criterion:
         sign = -1.0 if self.is_larger_better else 1.0
         ranked = sorted(means, key=lambda name: (sign * means[name], name))
         baselines = ((means[one], in_words(one)) for one in ranked if one in plain)
-        goal, name = next(baselines, (self.limit, "what is allowed"))
+        goal, name = next(baselines, (self.limit, "the limit"))
         if verdict is not None and judged:
             goal, name = verdict.baseline, verdict.baseline_name
         shown_unit, factor = shown_as(unit)
@@ -246,9 +246,9 @@ class Criterion:
             x_label=f"{self.figure} ({shown_unit})" if shown_unit else self.figure,
         )
         better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
-        beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
-        mean = f", mean over {len(places)} parts of the data, each by its size" if len(places) > 1 else ""
-        return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, baselines are hatched{beaten}."
+        beaten = f"; the dashed line is the value to beat ({name})" if math.isfinite(goal) else ""
+        mean = f", weighted mean over {len(places)} parts of the data" if len(places) > 1 else ""
+        return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}; {better}; baselines are hatched{beaten}."
 
     def _found(self, scores: Iterable[Score]) -> tuple[_Places, _Places, str, set[str]]:
         """Return figures and counts by method and place without bounds, the unit, and which methods are baselines."""

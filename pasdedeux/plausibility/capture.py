@@ -62,35 +62,35 @@ class PersonCapture:
     Those from `floor_spread_m` on are of the whole take, and NaN where they need a partner and there is none.
     """
 
-    stature_m: float = figure("Stature by the length of the legs")
+    stature_m: float = figure("Stature, estimated from the length of the legs")
     speed_m_s: float = figure(
-        "Greatest speed of a joint, over 1/30 s",
+        "Largest speed of a joint over 1/30 s",
         (15.0, 25.0),  # of the best throws and kicks
         complaint="moves the {speed_joint} at {speed_m_s:.0f} m/s",
     )
-    speed_joint: str = figure("That joint, of body22")
+    speed_joint: str = figure("Name of that joint (body22)")
     jerk_m_s3: float = figure(
         "Jerk of the worst joint, 95th percentile over frames, over 1/30 s",
         (2000.0, 5000.0),  # capture has 30-500, noisy up to 1,600
         complaint="shakes the {jerk_joint} with a jerk of {jerk_m_s3:.0f} m/s3",
     )
-    jerk_joint: str = figure("That joint, of body22")
+    jerk_joint: str = figure("Name of that joint (body22)")
     jump_m: float = figure(
-        "Greatest step of a joint in 1/30 s that its speed before and after leaves",
+        "Largest step of a joint in 1/30 s that its speed before and after does not explain",
         (0.25, 0.4),  # fast dance has up to 0.2
         complaint="the {jump_joint} jumps by {jump_m:.2f} m at {jump_s:.2f} s",
     )
-    jump_joint: str = figure("That joint, of body22")
-    jump_s: float = figure("When it jumps, from the start of the take")
+    jump_joint: str = figure("Name of that joint (body22)")
+    jump_s: float = figure("Time of that jump from the start of the take")
     start_jump_m: float = figure(
-        "Greatest step of a joint out of the first 1/30 s that its speed after leaves",
+        "Largest step of a joint out of the first 1/30 s that its later speed does not explain",
         (0.15, 0.6),
-        complaint="jumps by {start_jump_m:.2f} m out of its first frame, perhaps a T-pose: leave it out",
+        complaint="jumps by {start_jump_m:.2f} m out of its first frame, perhaps a T-pose: cut that frame",
     )
     skate_m_s: float = figure(
-        "Median speed of the stiller of the feet that carry",
+        "Median speed of the stiller supporting foot",
         (0.3, 0.6),  # capture has 0.22 at most
-        complaint="the feet slide at {skate_m_s:.2f} m/s where they carry",
+        complaint="the supporting feet slide at {skate_m_s:.2f} m/s",
     )
     sunk_m: float = figure(
         "Depth of the lowest joint under the floor, 95th percentile; negative above",
@@ -103,17 +103,23 @@ class PersonCapture:
         complaint="is in the air for {floating_share:.0%} of the time, held by nobody",
     )
     floor_spread_m: float = figure(
-        "Between the heights at which ankles stand, 5th to 95th percentile",
+        "Range of the heights of standing ankles, 5th to 95th percentile",
         (0.2, 0.4),
         complaint="feet stand at heights {floor_spread_m:.2f} m apart, as on stairs or with a wrong up_axis",
     )
     floor_gap_m: float = figure(
-        "Between the heights at which the flat feet of partners stand; NaN where fewer than two people have any",
+        (
+            "Difference of the floor heights under the flat feet of partners; NaN if fewer than two people "
+            "have flat feet"
+        ),
         (0.08, 0.2),
         complaint="people stand on floors {floor_gap_m:.2f} m apart",
     )
     tilt_rad: float = figure(
-        "How far the floor tilts by flat feet and everybody leans the same way, the less of both; NaN if nobody stands",
+        (
+            "Tilt of the floor: the smaller of the tilt by flat feet and the common lean of everybody; NaN if "
+            "nobody stands"
+        ),
         (0.06, 0.12),
         complaint="floor and people tilt by {tilt_rad:.2f} rad: up_axis may be wrong",
     )
@@ -123,29 +129,31 @@ class PersonCapture:
         complaint="nobody is upright: up_axis may be wrong",
     )
     distance_m: float = figure(
-        "Least distance of the partners' closest joints; NaN without a partner",
+        "Smallest distance between joints of the partners; NaN without a partner",
         (1.0, 5.0),
         complaint="the partners come no nearer than {distance_m:.1f} m",
     )
     trunk_m: float = figure(
-        "Least distance of the partners' spines; NaN without a partner",
+        "Smallest distance between the spines of the partners; NaN without a partner",
         (0.12, 0.08),  # close dance has 0.15, a hug 0.25
-        complaint="the partners' spines come to {trunk_m:.2f} m, through each other, as in two takes put together",
+        complaint=(
+            "the spines of the partners come within {trunk_m:.2f} m, through each other, as if two takes were combined"
+        ),
     )
     penetration_m: float = figure(
-        "Depth of the deepest bones of one in a partner, as capsules, 95th percentile; NaN without a partner",
+        "Depth of the deepest overlap with a partner, by capsules, 95th percentile; NaN without a partner",
         (0.12, 0.16),  # who pushes on a back has 0.11; one chest in another 0.18
         complaint="people are {penetration_m:.2f} m inside each other",
     )
     twin_m: float = figure(
-        "Difference of the partners' poses at one size, 95th percentile; NaN without a partner",
+        "Difference of the poses of the partners at equal size, 95th percentile; NaN without a partner",
         (0.03, 0.015),  # duets have 0.05
-        complaint="the partners do the same, {twin_m:.3f} m apart: one motion twice",
+        complaint="the partners move alike to {twin_m:.3f} m: the same motion twice",
     )
     body_difference_m: float = figure(
-        "Greatest difference of the lengths of the partners' bones; NaN without a partner",
+        "Largest difference between bone lengths of the partners; NaN without a partner",
         (0.0005, 0.0),  # people have 0.02 and more, twice the same betas nothing
-        complaint="the partners have one body: all bones have the same lengths, as of betas given twice",
+        complaint="the partners have the same body: all bones have equal lengths, as if betas were given twice",
     )
 
     @property

@@ -77,17 +77,17 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownAugmentation]:
     notes = []
     if len(failed):
         first = f"{variant_ids[failed[0]]}, {columns['reason'][failed[0]]}"
-        notes = [f"{take_id}: {len(failed)} of {len(variant_ids)} variants fail, such as {first}."]
+        notes = [f"{take_id}: {len(failed)} of {len(variant_ids)} variants fail, for example {first}."]
     if not np.isfinite(columns["contact_drift_m"]).any():
-        notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
+        notes.append(f"{take_id}: the source has no contacts, so contact drift cannot be measured.")
     source, solved = read_take(store, take).source, batch_of(store.manifest(parts[0]))
     held = tuple(contact for contact in solved.contacts if contact.weight > 0 and not contact.is_of_floor)
-    contacts, whose = source.contacts(solved.contacts), "found in the source"
+    contacts, whose = source.contacts(solved.contacts), "detected in the source"
     if held:
         contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
-        whose = "known of the take" if solved.contacts == facts.contacts else "stated by the study"
+        whose = "stated with the take" if solved.contacts == facts.contacts else "stated by the study"
     if contacts.weights.size:
-        notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
+        notes.append(f"{take_id}: contacts are {whose}.")
     scale = np.array([_furthest_from_1(scales) for scales in columns["uniform_scale"]])
     drawn = {variant_ids[at] for at in _extremes(scale, columns["contact_drift_m"])}
     shown = {"source": source.positions_m}
@@ -115,12 +115,15 @@ def _draw(shown: _ShownAugmentation) -> Iterator[Picture]:
     """Show the extremes beside the source, and drift over scale where anything is in contact."""
     take_id = shown.take_id
     caption = (
-        f"{take_id}: the source, its variants of the smallest and greatest size, and that whose contacts moved most "
-        "(Li et al. 2024, fig. 4); contacts of the source are green. Better: green lines stay short."
+        f"{take_id}: the source, its smallest and its largest variant, and the variant with the largest "
+        "contact drift (Li et al. 2024, fig. 4). Green: contacts of the source. Good: green lines stay "
+        "short."
     )
     yield Picture(f"variants-{take_id}.player.json", caption, variant_player(shown.source, shown.motions_m))
     if np.isfinite(shown.columns["contact_drift_m"]).any():
-        caption = f"{take_id}: contact drift over scale, beside plain forward kinematics (dashed). Better: nearer to 0."
+        caption = (
+            f"{take_id}: contact drift by scale, with plain forward kinematics as baseline (dashed). Good: close to 0."
+        )
         yield Picture(f"drift-{take_id}.svg", caption, drift_figure(take_id, shown.scale, shown.columns))
 
 
@@ -267,7 +270,7 @@ def drift_figure(take_id: str, scale: Array, columns: Mapping[str, Array]) -> by
         {method: (scale[order], 1e3 * drift[order]) for method, drift in drifts.items()},
         {_PLAIN},
     )
-    return curve_figure([panel], title=f"{take_id}: contacts kept", x_label="scale of whoever is scaled")
+    return curve_figure([panel], title=f"{take_id}: contacts kept", x_label="scale of the scaled person")
 
 
 def variant_player(source: Source, motions_m: Mapping[str, Array]) -> bytes:
@@ -284,11 +287,11 @@ def variant_player(source: Source, motions_m: Mapping[str, Array]) -> bytes:
 TOPIC = Topic(
     name="augmentation",
     heading="Augmentation",
-    introduction="The same motion for bodies of other sizes, with contacts kept. The baseline puts the source's joint "
-    "angles on the new bones, so that hands miss each other.",
+    introduction="The same motion for bodies of other sizes, with contacts kept. The baseline applies the joint angles "
+    "of the source to the new bones, so hands miss each other.",
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
     compute=_compute,
     draw=_draw,
-    criteria=(Criterion("contact_drift_mean", "drift of contacts (known, else found)", "m", "variants", (_OURS,)),),
+    criteria=(Criterion("contact_drift_mean", "drift of contacts (stated or detected)", "m", "variants", (_OURS,)),),
 )

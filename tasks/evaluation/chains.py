@@ -69,18 +69,18 @@ def _draw(shown: _ShownChains) -> Iterator[Picture]:
     for density, (states_m, labels) in shown.states.items():
         panel = people_panel(in_words(density), PAIR17, states_m + np.array([0.0, _STANDING_M, 0.0]))
         caption = (
-            f"States of one chain of {in_words(density)}, from its seed on (Yin et al. 2018, figs. 6, 7). Better: it "
-            "soon leaves the seed and returns to poses like earlier ones; a chain that does not mix stays near its "
-            "seed. Bodies are not tied to the floor. `pasdedeux restart` continues from the draw whose name is shown, "
-            "with the name of the study for STUDY."
+            f"States of one chain ({in_words(density)}), starting at its seed (Yin et al. 2018, figs. 6, "
+            "7). Good: the chain soon leaves its seed and comes back to similar poses; a chain that does "
+            "not mix stays near its seed. Bodies may float, as chains have no floor. To continue from a "
+            "draw, give its name to `pasdedeux restart`, with the name of the study in place of STUDY."
         )
         player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
         yield Picture(f"draws-{density}.player.json", caption, player)
     for density, rows in shown.neighbours.items():
         caption = (
-            f"States of one chain of {in_words(density)}, evenly spread, each as the nearest annotation saw it, beside "
-            "the three annotations most like it with their distance (Yin et al. 2018, figs. 6, 7 and 11). Better: "
-            "draws look like annotations and differ from each other."
+            f"Evenly spaced states of one chain ({in_words(density)}), each seen by the camera of its "
+            "nearest annotation, beside its three nearest annotations and their distances (Yin et al. "
+            "2018, figs. 6, 7 and 11). Good: draws look like annotations and differ from each other."
         )
         yield Picture(f"draws-nearest-{density}.svg", caption, rows_figure(rows))
 
@@ -162,7 +162,7 @@ def _summarised(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
             reason = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"
             notable.setdefault(density, []).append(reason)
     notes = [
-        f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass, such as {found[0]}."
+        f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass, for example {found[0]}."
         for density, found in notable.items()
     ]
     return TopicResult(scores, notes=notes, baselines=_baselines(shard, store))
@@ -171,10 +171,10 @@ def _summarised(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
 TOPIC = Topic(
     name="chains",
     heading="Chains",
-    introduction="Each chain samples poses that agree with the annotations, from a seed on. Where chains mix, the "
-    "effective sample size is near the number of draws, and chains that start apart agree (R-hat near 1). They seldom "
-    "do: modes of the density differ by some 100 nats, so chains stay near where they start. Sets of pairs, above all "
-    "repaired ones, are the draws to use.",
+    introduction="Each chain starts at a seed and samples poses that agree with the annotations. If chains mix, the "
+    "effective sample size is close to the number of draws, and chains with different starts agree (R-hat "
+    "near 1). They rarely mix: modes of the density differ by about 100 nats, so each chain stays near "
+    "its seed. Use sets of pairs instead, preferably repaired pairs.",
     reads=("chain_info", "draws", "annotations", "views"),
     plan=_plan,
     compute=_compute,
@@ -182,12 +182,14 @@ TOPIC = Topic(
     cautions=(
         (
             "draws",
-            "Draws are a mixture over the chains of the study's seeds, not independent samples of one distribution.",
+            (
+                "Draws come from several chains with different seeds. They are not independent samples of one "
+                "distribution."
+            ),
         ),
         (
             "draws",
-            "The density knows nothing of ground contact, and one view does not see the relative depth of the two "
-            "people.",
+            "The density ignores ground contact, and a single view does not show the relative depth of the two people.",
         ),
     ),
 )

@@ -65,8 +65,8 @@ def _draw(shown: _ShownClips) -> Iterator[Picture]:
     panel = image_panel(shown.sequence_id, OP14, shown.keypoints_px, shown.size_px)
     labels = [f"{time:.1f} s" for time in shown.times_s[::step]]
     caption = (
-        f"Sequence {shown.sequence_id}: its first seconds of 2D poses as given. A limb that is missing or jumps was "
-        "detected badly."
+        f"Sequence {shown.sequence_id}: the first seconds of its 2D poses. A limb that is missing or jumps "
+        "is an error of the detector."
     )
     player = pack_player([panel], rate_hz=rate_of(shown.times_s) / step, labels=labels)
     yield Picture(f"clip-{shown.sequence_id.replace('/', '-')}.player.json", caption, player)
@@ -103,5 +103,5 @@ TOPIC = Topic(
     plan=_plan,
     compute=_compute,
     draw=_draw,
-    cautions=(("cameras", "Virtual video is made from motion capture: its 2D noise is simulated."),),
+    cautions=(("cameras", "Virtual video is rendered from motion capture. Its 2D noise is simulated."),),
 )

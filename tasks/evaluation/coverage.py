@@ -61,7 +61,7 @@ _MAX_KEPT = 5000
 _EXPLORATION = {
     "num_draws": "draws",
     "coverage_D_C": "coverage",
-    "as_good_as_real_frames_D_C": "as good as real",
+    "as_good_as_real_frames_D_C": "equivalent real frames",
     "draw_to_nearest_real_D_C_median": "draw to nearest real, median",
     "acceptance_rate_mean": "accepted",
     "travelled_mean": "travelled",
@@ -75,7 +75,7 @@ NUM_CURVE_POINTS = 12
 class CoverageSettings(Parameters):
     """How finely coverage is measured."""
 
-    num_truth_pairs: int = Field(300, ge=1, description="Real pairs of each part that coverage is measured on, at most")
+    num_truth_pairs: int = Field(300, ge=1, description="Most real pairs of each part on which coverage is measured")
 
 
 class CoverageParameters(CoverageSettings):
@@ -131,12 +131,16 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
     known = GroundTruth.read(store, shard.refs("takes"), ())
     refuse_learned(store, draw_refs, known.held_out)
     learned = sorted(take.take_id for take in TakeFacts.read(store, shard.refs("takes")) if take.is_prior)
-    notes = [f"Coverage is not measured on {', '.join(learned)}: priors learned from these takes."] if learned else []
+    notes = (
+        [f"Coverage is not measured on {', '.join(learned)}, because the priors were learned from these takes."]
+        if learned
+        else []
+    )
     takes = {name: pairs for name, pairs in known.takes.items() if name not in learned}
     truth, others, places = _split(takes, _annotated_frames(store, shard), known.held_out, split)
     words = split.replace("_", "-")
     if not len(truth) or not len(others):
-        return TopicResult(notes=[*notes, f"Coverage of {words} frames: there are none."])
+        return TopicResult(notes=[*notes, f"Coverage of {words} frames is not measured: there are no such frames."])
     generator = stream(shard.seed, TOPIC.name, split)
     chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
     truth, places = truth[chosen], [places[at] for at in chosen]
@@ -155,9 +159,9 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
 def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
     """Draw coverage against the number of draws, and a map of real pairs and draws unless the pairs are all alike."""
     caption = (
-        f"Distance from {shown.words} real pairs to their nearest draw against the number of draws; lower is better, "
-        "baselines are dashed, grey lines are as many real pairs in place of draws (Yin et al. 2018, fig. 9). "
-        "By interaction: by distances between both people's joints."
+        f"Distance from {shown.words} real pairs to their nearest draw, by number of draws (Yin et al. "
+        "2018, fig. 9). Good: low. Dashed: baselines. Grey: the same number of real pairs in place of "
+        "draws. By interaction: measured by distances between the joints of both people."
     )
     yield Picture(
         f"coverage-{shown.split}.svg",
@@ -176,10 +180,10 @@ def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
     seed = None if shown.seed_m is None else plane.place(shown.seed_m)[0]
     title = f"{shown.words} frames and draws ({plane.share:.0%} of the spread shown)"
     caption = (
-        f"A map of {shown.words} real pairs and of draws, more draws from left to right, at most 400 dots of each; "
-        "what is near is alike, in "
-        "centimetres (Yin et al. 2018, fig. 8); the cross is the first seed. Better: draws lie wherever real pairs "
-        "lie, and nowhere else."
+        f"A map of {shown.words} real pairs and draws, at most 400 dots of each; the number of draws grows "
+        "from left to right (Yin et al. 2018, fig. 8). Similar pairs are close together; axes are in "
+        "centimetres; the cross is the first seed. Good: draws lie where real pairs lie, and nowhere "
+        "else."
     )
     yield Picture(f"coverage-map-{shown.split}.svg", caption, map_figure(plane.places, panels, seed=seed, title=title))
 
@@ -389,8 +393,8 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> lis
 TOPIC = Topic(
     name="coverage",
     heading="Coverage",
-    introduction="Whether draws reach captured poses: distance from real pairs to their nearest draw, beside chains of "
-    "the prior alone (the baseline) and beside real pairs in place of draws.",
+    introduction="Do draws reach captured poses? Measured is the distance from real pairs to their nearest draw. The "
+    "baseline is chains of the prior alone; the bound is real pairs in place of draws.",
     reads=("poses", "annotations", "draws", "seeds"),
     plan=_plan,
     compute=_compute,

@@ -64,14 +64,14 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
 TOPIC = Topic(
     name="detector",
     heading="A simulated detector",
-    introduction="Virtual video as a detector sees it: joints missing, junk joints of low confidence, people in any "
-    "order in every frame, a third person walking through. Scored are identity switches a minute of video, extra "
-    "people, and wrong pairs. `median_error` is the median over frames of the mean joint error (op14, centred on the "
-    "mid-hip) of each person of the take, beside that of the same video with the same noise alone.",
+    introduction="Virtual video with the faults of a detector: missing joints, spurious joints of low confidence, "
+    "people in changing order, and a third person who walks through. The scores are identity switches per "
+    "minute, extra people, and wrong pairs. `median_error` is the median over frames of the mean joint "
+    "error (op14, centred on the mid-hip), beside the same video with noise only.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     compute=_compute,
     criteria=(
-        Criterion("identity_switches_per_minute", "identity switches a minute", "", "sequences", limit=_MAX_SWITCHES),
+        Criterion("identity_switches_per_minute", "identity switches per minute", "", "sequences", limit=_MAX_SWITCHES),
     ),
 )

@@ -172,7 +172,9 @@ def _predict(shard: Shard, store: Store) -> TopicResult[None]:
 
     tested = repetition.clips(repetition.test)
     if not (repetition.training_sets[WITHOUT] and tested):
-        return TopicResult(notes=[f"{repetition.name}: skipped, no take of a side lasts 3 s."])
+        return TopicResult(
+            notes=[f"{repetition.name}: skipped, because training or test takes are all shorter than 3 s."]
+        )
     guesses: dict[str, Callable[[Array], Array]] = {
         method: train_predictor(
             np.concatenate(list(clips.values())), repetition.options.learned.predictor, repetition.stream("prediction")
@@ -245,7 +247,7 @@ class _Repetition:
             f"variants; {len(self.test)} test takes. All train for as many steps."
         )
         if self.options.models:
-            note += f" As many are of {', '.join(self.options.models)}, which saw none of the test takes."
+            note += f" The same number of variants is from {', '.join(self.options.models)}, which saw no test take."
         judged = {name: items for by, name in _JUDGED.items() if by in items.values}
         return TopicResult(scores, [note], judged, BASELINES)
 
@@ -382,15 +384,15 @@ def _motion(score: Score) -> str:
 
 
 _MODEL_TOO = (
-    " Variants are the solver's, or as many of each model (stage `generation`) that saw no test take, as those of "
-    "splits across interactions."
+    " Variants are made by the solver or, in the same number, by a model of the stage `generation` that "
+    "saw no test take."
 )
 RECOGNITION = Topic(
     name="recognition",
     heading="Recognition of interactions",
-    introduction="A two-person ST-GCN classifies clips of 2 s by interaction, trained with or without the variants of "
-    "its training takes, and tested on clips of unseen takes. The one without is also asked what variants of the test "
-    "takes are." + _MODEL_TOO,
+    introduction="A two-person ST-GCN classifies clips of 2 s by interaction. It is trained with or without variants "
+    "of its training takes, and tested on clips of unseen takes. The classifier without variants is also "
+    "tested on variants of the test takes." + _MODEL_TOO,
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan_recognition,
     compute=_recognise,
@@ -405,10 +407,10 @@ RECOGNITION = Topic(
 PREDICTION = Topic(
     name="prediction",
     heading="Prediction of motion",
-    introduction="Motion of the next second, predicted from the 2 s before (DCT, graph convolutions and attention to "
-    "motion history), trained with or without the variants of the training takes, and tested on unseen takes; takes "
-    "under 3 s are skipped. JME is the joint error in place, AME that of poses aligned with the true ones."
-    + _MODEL_TOO,
+    introduction="A network predicts the next second of motion from the last 2 s (DCT, graph convolutions, attention "
+    "to motion history). It is trained with or without variants of the training takes, and tested on "
+    "unseen takes; takes under 3 s are skipped. JME is the joint error in place, AME the joint error of "
+    "aligned poses." + _MODEL_TOO,
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan_prediction,
     compute=_predict,

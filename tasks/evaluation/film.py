@@ -34,10 +34,14 @@ def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[Picture]]:
     kept = store.read(ref, "annotations", columns=["keypoint_confidence"])["keypoint_confidence"]
     num_kept, num_known = sum(int((np.asarray(row) > 0).sum()) for row in kept), int((frames.confidence > 0).sum())
     note = (
-        f"{name}: frames {frames.frame.min()} to {frames.frame.max()}, {len(np.unique(frames.person_id))} people; "
-        f"keypoints: {words}; {max(num_known - num_kept, 0)} of {num_known} left out as faults."
+        f"{name}: frames {frames.frame.min()} to {frames.frame.max()}, {len(np.unique(frames.person_id))} "
+        f"people; keypoints: {words}; {max(num_known - num_kept, 0)} of {num_known} removed as "
+        "implausible."
     )
-    captions = {SHEET_NAME: "dots are annotated, detected or tracked, rings interpolated", CLIP_NAME: "a clip"}
+    captions = {
+        SHEET_NAME: "dots are annotated, detected or tracked keypoints, rings are interpolated",
+        CLIP_NAME: "a clip",
+    }
     pictures = [
         Picture(f"{name}-{file}", f"{name}: {says}.", store.attachment(ref, file)) for file, says in captions.items()
     ]
@@ -47,8 +51,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[Picture]]:
 TOPIC = Topic(
     name="film",
     heading="Film",
-    introduction="Shots of film with the people annotated, detected or tracked in them. Faces of annotated people are "
-    "blurred. Keypoints that are missing are hidden, or were lost on the way from one known place to the next.",
+    introduction="Shots of film, with the people that were annotated, detected or tracked. Faces of annotated people "
+    "are blurred. A missing keypoint is hidden, or its track was lost.",
     reads=("annotations",),
     plan=_plan,
     compute=_compute,

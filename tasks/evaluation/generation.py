@@ -97,7 +97,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
         if len(values := np.concatenate(found))
         for score in scores_of({"contact_error": values.mean()}, method, "mm", count=len(values), **more)
     ]
-    seen = "it learned from other scales of them" if facts.shares_takes else "it did not learn from them"
+    seen = (
+        "the model learned from other scales of these takes"
+        if facts.shares_takes
+        else "the model did not learn from these takes"
+    )
     count = sum(map(len, clips[facts.model].values()))
     notes = [f"{in_words(facts.model)}: {count} motions of {counted(len(parts), 'test take')}; {seen}."]
     if settings.num_realism_variants:
@@ -116,7 +120,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
 
 def _draw(shown: _ShownGeneration) -> Iterator[Picture]:
     """Show the first take beside the motion generated for it."""
-    caption = f"{shown.take_id}, and the motion generated for it; contacts of the take are green."
+    caption = f"{shown.take_id}, and the motion generated for it. Green: contacts of the take."
     player = variant_player(shown.source, {"take": shown.source.positions_m, **shown.motions_m})
     yield Picture(f"generated-{shown.take_id}.player.json", caption, player)
 
@@ -198,7 +202,7 @@ def _tabulate(scores: ScoresOf) -> list[TextTable]:
     return [
         pivot_table(
             scores["generation"],
-            "Generated motion of test takes beside chance (real_halves), strangers and the solver",
+            ("Generated motion of test takes, compared with chance level (real halves), strangers and the solver"),
             ("split", "motion"),
             lambda s: (s.split, in_words(s.method)),
             {name: in_words(name) for name in columns},
@@ -211,13 +215,14 @@ def _tabulate(scores: ScoresOf) -> list[TextTable]:
 TOPIC = Topic(
     name="generation",
     heading="Generated motion",
-    introduction="Motion that the stage generation sampled from a model for the takes that the model is tested on. "
-    "Contact error is the mean change of the distance of the take's contacts; plain kinematics has the same bodies. "
-    "FID, KID, density and coverage compare with one half of the real clips of these takes, in features of the "
-    "classifier of clips; the other half is chance level. Clips of a take overlap, and a copy of the take is at chance "
-    "level too: read them with multimodality, the mean distance of the features of two motions of a take at the same "
-    "time. Diversity is that of any two clips. Strangers are A of one clip and B of another interaction. KID is "
-    "unbiased, so of few clips it can be strongly negative, and then says nothing.",
+    introduction="Motion that the stage generation sampled from a model, for the model's test takes. Contact error is "
+    "the mean change of contact distance against the take; plain kinematics uses the same bodies. FID, "
+    "KID, density and coverage compare the motion with one half of the real clips of these takes, in "
+    "features of the clip classifier; the other half is chance level. A copy of the take is at chance "
+    "level too, so read these figures together with multimodality: the mean feature distance of two "
+    "motions of one take at the same time. Diversity is the mean feature distance of any two clips. "
+    "Strangers combine A of one clip with B of another interaction. KID is unbiased; with few clips it "
+    "can be strongly negative and then has no meaning.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     compute=_compute,

@@ -148,16 +148,16 @@ def _draw(shown: _ShownLeaveOneOut) -> Iterator[Picture]:
     """Draw how near draws come as they grow in number, and a map of annotations unless they are all alike."""
     if shown.curves:
         caption = (
-            "Distance of images that draws were not made from to their nearest draw, seen from where the image or one "
-            "of the annotations was taken; lower is better. Baselines are dashed: chains without annotations, and real "
-            "pairs in place of draws, which need ground truth. The grey line is the nearest image among those used. "
-            "Left out are images of the same sources; held out: images of takes that nothing was learned from."
+            "Distance from unused images to their nearest draw, seen by the camera of the image or of an "
+            "annotation. Good: low. Dashed: the baselines, chains without annotations, and real pairs in "
+            "place of draws, which need ground truth. Grey: the nearest image among those used. Left-out "
+            "images are of the same sources; held-out images are of takes from which nothing was learned."
         )
         yield Picture("leave-one-out.svg", caption, nearest_draw_figure(shown.curves, shown.baselines))
     caption = (
-        "A map of the annotations: what is near is alike (Yin et al. 2018, fig. 5b); some are drawn as people. "
-        "Coloured marks: annotations that draws are nearest to, larger where more draws are. Crosses: annotations left "
-        "out. Better: the marks lie all over the annotations, and near every cross."
+        "A map of the annotations (Yin et al. 2018, fig. 5b): similar ones are close together; some are "
+        "drawn as people. Coloured marks: the nearest annotations of the draws, larger for more draws. "
+        "Crosses: left-out annotations. Good: marks lie all over the annotations, and near every cross."
     )
     with suppress(InputError):
         content = annotation_map_figure(shown.images_m, shown.nearest_m, shown.left_out_m)
@@ -184,11 +184,11 @@ def _notes(unused: Mapping[str, Collection[PairPlace]], curves: Collection[str])
     counts = [f"{len(unused[split])} {_WORDS[split]}" for split in curves]
     if not counts:
         return [
-            "No annotation was left out of what draws are made from, so generalisation of draws to other annotations "
-            "is not known: `leave_one_out_every` of a source requests that; it needs as many moments as half of it, "
-            "and one more."
+            "All annotations were used to make draws, so it is unknown how well draws generalise to other "
+            "annotations. To leave some out, set `leave_one_out_every` of a source; the source needs more "
+            "moments than half that number."
         ]
-    return [f"Images that draws were not made from: {' and '.join(counts)}; at most {_NUM_JUDGED} of each are judged."]
+    return [f"Unused images: {' and '.join(counts)}; at most {_NUM_JUDGED} of each are judged."]
 
 
 def _apart(
@@ -259,9 +259,7 @@ def nearest_draw_figure(curves: Mapping[str, Mapping[str, NearestCurve]], baseli
                 {name: float(mean[0]) for name, (at, mean) in means.items() if len(at) == 1},
             )
         )
-    return curve_figure(
-        panels, title="images that draws were not made from", x_label="draws, or real frames", is_log=True
-    )
+    return curve_figure(panels, title="unused images", x_label="draws, or real frames", is_log=True)
 
 
 def _nearest_annotations(
@@ -309,7 +307,9 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
     fit_map(figure, axis, scale=5.6, limits=(2.4, 7.0))
     axis.set_xlabel("cm of distance between images", fontsize=7)
     legend_beside(axis)
-    return figure_svg(figure, title=f"annotations by how alike they are ({plane.share:.0%} of the spread shown)")
+    return figure_svg(
+        figure, title=f"annotations, similar ones close together ({plane.share:.0%} of the variance shown)"
+    )
 
 
 def _far_apart(places: Array, count: int) -> list[int]:
@@ -325,11 +325,11 @@ def _far_apart(places: Array, count: int) -> list[int]:
 TOPIC = Topic(
     name="leave_one_out",
     heading="Leave-one-out images",
-    introduction="Evidence that needs no ground truth: some images are kept from everything that draws are made from; "
-    "good draws include one that looks like each of them. Distances are those of images (d_I of Yin et al. 2018).",
+    introduction="A check that needs no ground truth. Some images take no part in making the draws; good draws include "
+    "one that looks like each of these images. Distances are between images (d_I of Yin et al. 2018).",
     reads=("annotations", "views", "draws", "seeds", "poses"),
     plan=_plan,
     compute=_compute,
     draw=_draw,
-    criteria=(Criterion(f"{_METRIC}_mean", "distance of left-out images to the nearest draw", "m", "images"),),
+    criteria=(Criterion(f"{_METRIC}_mean", "distance from left-out images to the nearest draw", "m", "images"),),
 )

@@ -75,7 +75,7 @@ class LiftedPairsSettings(Parameters):
     """What is completed to be scored."""
 
     num_completed_pairs: int = Field(
-        12, ge=0, description="Real pairs of each part whose joints are hidden and completed from draws; 0: none"
+        12, ge=0, description="Real pairs of each part in which joints are hidden and completed from draws; 0: none"
     )
 
 
@@ -125,23 +125,24 @@ def _draw(shown: _ShownLifting) -> Iterator[Picture]:
     """Draw expected errors over true ones, examples of each part, and lifted pairs beside what is most like them."""
     if shown.expected_m:
         caption = (
-            "Expected error of each lifted pair, estimated without ground truth, and its true error. Better: dots "
-            "follow the line, and four of five lie in the grey."
+            "Expected error of each lifted pair, estimated without ground truth, against its true error. "
+            "Good: dots follow the line, and four of five lie in the grey band."
         )
         yield Picture("expected-error.svg", caption, expected_figure(shown.expected_m))
     for split, examples in shown.examples.items():
         caption = (
-            f"{split.replace('_', '-').capitalize()} frames: ground truth and lifted pairs, first as the camera saw "
-            "them; turn them. Better: the depth is true from the side too."
+            f"{split.replace('_', '-').capitalize()} frames: ground truth and lifted pairs, seen by the "
+            "camera. Turn them to see the depth. Good: they agree from the side too."
         )
         yield Picture(f"lifted-{split}.player.json", caption, lifted_player(examples))
     if shown.neighbours:
         caption = (
-            "Lifted pairs with the expected error of a joint and its 80 % interval, each beside the other annotations "
-            "and the draws most like it, nearest first, with their distance: of an annotation to the pair seen from "
-            "where that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Annotations of the same "
-            "moment are excluded; the nearest draw may have been lifted from that very image. Better: all look alike; "
-            "far neighbours mean that nothing like it is known."
+            "Lifted pairs with their expected joint error and its 80 % interval (Yin et al. 2018, fig. "
+            "11). Beside each pair are its nearest annotations and draws with their distances: "
+            "annotations are compared with the pair seen by their cameras, draws with the image of the "
+            "pair. Annotations of the same moment are excluded; the nearest draw may have been lifted "
+            "from the same image. Good: all look alike. Distant neighbours mean that nothing similar is "
+            "known."
         )
         yield Picture("nearest.svg", caption, rows_figure(shown.neighbours))
 
@@ -375,7 +376,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
         for part, errors in completed.items():
             scores += summarise(errors, "occluded_joint_error", "m", split=split, item=part)
             judged += _held_out(split, Items(errors, *truth.where(places)))
-    notes = [f"Joints were completed from {len(pool):,} draws and pairs lifted from seeds."]
+    notes = [f"Hidden joints were completed from {len(pool):,} draws and grown pairs."]
     return TopicResult(scores, notes, {_COMPLETED: Items.joined(judged)}, _BASELINES)
 
 
@@ -441,11 +442,9 @@ def _spread_places(takes: Mapping[str, Array], count: int, gap: int) -> list[tup
 TOPIC = Topic(
     name="lifting",
     heading="Lifting",
-    introduction="3D pairs lifted from images with the draws that look like them (Yin et al. 2018, figs. 2 and "
-    "10), hidden joints of real pairs "
-    "completed from draws (fig. 12), and frames filled in between. "
-    "Errors of pairs include distance and depth between the "
-    "people, errors of people are about each person's own hips.",
+    introduction="3D pairs lifted from images with similar draws (Yin et al. 2018, figs. 2 and 10), hidden joints of "
+    "real pairs completed from draws (fig. 12), and frames filled in between. Errors of pairs include the "
+    "distance and depth between the people. Errors of people are measured with the hips aligned.",
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
     plan=_plan,
     compute=_compute,

@@ -154,8 +154,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     scores += model_scores(drawn, split=split, item=GENERATED, takes=of_draws)
     shared = " The takes are those of the training set, at other scales." if facts.shares_takes else ""
     caption = (
-        f"Error of each model on the {len(tested)} test variants of split {split_name}; lower is better, baselines "
-        f"are dashed.{shared}"
+        f"Error of each model on the {len(tested)} test variants of split {split_name}. Good: low. Dashed: "
+        f"baselines.{shared}"
     )
     said, shown = "", {}
     best = best_model(scores, split=split, baselines=baselines)
@@ -175,16 +175,25 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
         )
         paper = "Li et al. 2024, figs. 5 and 6"
         where = f"{in_words(best)}, on split {split_name} ({paper})"
-        said = f"{where}; the true variant is grey. Better: no grey shows. {listed}."
+        said = f"{where}. Grey: the true variant. Good: no grey is visible. {listed}."
     learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
     notes = [
-        *([f"Models and figures are of {skeleton}; surfaces are not measured."] * (skeleton != BODY22.name)),
-        f"Split {split_name}: {len(tested)} of {len(test)} test variants, of "
-        f"{counted(len(meters), 'take')}, learned from {learned}. "
+        *(
+            [f"Models and figures are for the skeleton {skeleton}; surfaces are not measured."]
+            * (skeleton != BODY22.name)
+        ),
+        f"Split {split_name}: {len(tested)} of {len(test)} test variants of "
+        f"{counted(len(meters), 'take')}; trained on {learned}. "
         + (
-            "Intervals are over test variants, which of one take are much alike: they do not generalise to other takes."
+            (
+                "Intervals are over test variants. Variants of one take are similar, so the intervals do not "
+                "generalise to other takes."
+            )
             if facts.shares_takes
-            else f"Intervals are over takes, as variants of one are much alike, where there are {FEWEST_UNITS}."
+            else (
+                f"Intervals are over takes if there are at least {FEWEST_UNITS}, because variants of one take "
+                "are similar."
+            )
         ),
         *(
             f"{name}: the distance of key pairs (JPD) is between {pairs}."
@@ -209,7 +218,10 @@ def _draw(shown: _ShownModels) -> Iterator[Picture]:
             title=f"training on {shown.split.replace('_', ' ')}",
             x_label="steps",
         )
-        words = f"Validation error of each network on split {shown.split} during training, z = 0; the copy is dashed."
+        words = (
+            f"Validation error of each network during training on split {shown.split}, with z = 0. Dashed: "
+            "copy of the source."
+        )
         yield Picture(f"learning-{shown.split}.svg", words, drawn)
     caption, cases = shown.cases
     if cases:
@@ -396,15 +408,16 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
 
     tables = [
         by_model(
-            "E_r and proximity-weighted distance, cm, on every split, with 95 % intervals over test variants, or over "
-            f"takes where these are not learned from; marked where the last segment of training brought the smallest "
-            f"validation error down by more than {_STILL_FALLS:g} %, so that longer training would change the figures",
+            "E_r and proximity-weighted distance (cm) on every split, with 95 % intervals over takes if "
+            "no test take was learned from, else over test variants. Marked: the last segment of training "
+            f"reduced the validation error by more than {_STILL_FALLS:g} %, so longer training would "
+            "change the figures",
             "all",
             ("E_r", "PWD"),
             on_splits,
         ),
         by_model(
-            "Drift of contacts, mm / JPD, cm: as predicted, and of the best network after two steps of the mesh",
+            "Drift of contacts (mm) / JPD (cm): as predicted, and for the best network after two mesh steps",
             "all",
             ("contact_error", "JPD"),
             _values(("contact_error", "JPD")),
@@ -414,8 +427,9 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
             f"As table 3 of the paper, scale {_LARGEST_SCALE} alone: E_r, cm / E_b, mm / JPD, cm", is_largest=True
         ),
         by_model(
-            "As table 2 of the paper (generation), scales of B drawn by the model, baselines at these: E_b, mm, from "
-            "the bones drawn / JPD, cm, from the source, as there is no true motion",
+            "As table 2 of the paper (generation): E_b (mm) against the drawn bones / JPD (cm) against "
+            "the source, as there is no true motion. The model draws the scales of B, and baselines use "
+            "the same scales",
             GENERATED,
             _PUBLISHED[1:],
             _values(_PUBLISHED[1:]),
@@ -425,7 +439,7 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
     own = sorted(
         (one for one in of_all if (_without_seed(one), one.split) in seeded), key=lambda one: order[one.method]
     )
-    names, caption = lambda one: (in_words(_without_seed(one)),), "E_r, cm, over all seeds: mean (least to most)"
+    names, caption = lambda one: (in_words(_without_seed(one)),), "E_r (cm) over all seeds: mean (smallest to largest)"
     tables.insert(1, pivot_table(own, caption, ("model",), names, splits, lambda one: one.split, _of_seeds))
     return [table for table in tables if table.rows]
 
@@ -440,9 +454,9 @@ def _values(metrics: Sequence[str]) -> Callable[[Sequence[Score]], str]:
 TOPIC = Topic(
     name="models",
     heading="Models",
-    introduction="Models that predict variants from a take and the sizes of two bodies, compared with the solver's "
-    "answer. The baselines return the take unchanged, or put its joint angles on the new bones. The table of names "
-    "describes each figure and model.",
+    introduction="Models predict variants from a take and two body sizes. They are compared with the solver's result. "
+    "The baselines return the take unchanged, or apply its joint angles to the new bones. The table of "
+    "names describes each figure and model.",
     reads=("models", "training_log", "poses", "variants", "variant_quality"),
     plan=_plan,
     compute=_compute,
@@ -454,8 +468,7 @@ TOPIC = Topic(
     cautions=(
         (
             "models",
-            "Models are scored on takes that they saw at other scales (cross-scale split) unless the split says "
-            "otherwise.",
+            "On the cross-scale split, models are scored on takes that they saw at other scales.",
         ),
     ),
     tabulate=lambda scores: model_tables(scores["models"]),

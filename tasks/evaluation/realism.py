@@ -38,16 +38,16 @@ class LearnedSettings(Parameters):
     """What is judged by networks that are trained for it; needs torch."""
 
     num_realism_variants: int = Field(
-        0, ge=0, description="Test variants of each split that models are compared on as distributions"
+        0, ge=0, description="Test variants of each split, to compare models as distributions"
     )
     num_downstream_seeds: int = Field(
-        0, ge=0, le=20, description="Trainings of each kind that recognition and prediction of motion are repeated in"
+        0, ge=0, le=20, description="Repetitions of each training for recognition and prediction"
     )
     tells_roles: bool = Field(
-        False, description="Recognition tells roles apart: clips with A and B exchanged are classes of their own"
+        False, description="Recognition distinguishes roles: clips with A and B exchanged are separate classes"
     )
     num_training_takes: tuple[Annotated[int, Field(ge=1)], ...] = Field(
-        (), description="Takes of each interaction to learn from, one training each, instead of the published shares"
+        (), description="Numbers of training takes per interaction, one training each, instead of the published shares"
     )
     classifier: ClassifierSettings = Field(ClassifierSettings(), description="Training of the classifier of clips")
     predictor: PredictorSettings = Field(PredictorSettings(), description="Training of the predictor of motion")
@@ -73,9 +73,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
 def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     """Train the classifier on real clips, and look with it at what every model predicts."""
     if shard.name == OTHER_SKELETON:
-        return TopicResult(
-            notes=[f"Skipped: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
-        )
+        return TopicResult(notes=[f"Skipped: the clip classifier works on {BODY22.name}, and no model does."])
     settings = shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
     classifier, notes = train_on_real(shard, store, takes, settings.classifier)
@@ -114,7 +112,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
                 scores += _compare(classifier, clips, *dealt, split=f"{split} test", item=of)
         tested = {take_id for take_id, _ in chosen}
         seen = [take for take in takes if TakeFacts.of(take).take_id in tested and not TakeFacts.of(take).is_held_out]
-        notes.append(f"Split {split}: of {len(tested)} tested takes the classifier learned from {len(seen)}.")
+        notes.append(f"Split {split}: the classifier learned from {len(seen)} of the {len(tested)} test takes.")
     return TopicResult(scores, notes=notes, baselines=BASELINES)
 
 
@@ -134,12 +132,12 @@ def train_on_real(
     learned = [take for take in takes if not TakeFacts.of(take).is_held_out]
     real = real_clips(store, learned)
     if len(real) < 2:
-        return None, ["Distributions are skipped: takes that are not held out are of one interaction alone."]
+        return None, ["Distributions are skipped: all takes that are not held out show the same interaction."]
     classifier = train_classifier(real, settings, stream(shard.seed, "evaluation", "classifier"))
     counted = ", ".join(f"{kind} {len(found)}" for kind, found in real.items())
     return classifier, [
         f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
-        f"{classifier.accuracy(real):.0f} % of them right, and has the digest {classifier.digest}.",
+        f"{classifier.accuracy(real):.0f} % of them correctly, and has the digest {classifier.digest}.",
         f"Takes of the classifier: {', '.join(sorted(TakeFacts.of(take).take_id for take in learned))}.",
     ]
 
@@ -198,15 +196,15 @@ def _features(classifier: ClipClassifier, clip_sets: Sequence[_Clips]) -> tuple[
 TOPIC = Topic(
     name="realism",
     heading="Models as distributions",
-    introduction="Test variants that a model predicts, beside others that the solver made, of the same takes where "
-    "there are several, in 32 features of a two-person ST-GCN classifier of real clips of takes that are not held out "
-    "(named below, with how many of a split's test takes are among them). The method `solver` is chance level: the "
-    "solver's answer for the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is mostly bias "
-    "and has a meaning only beside that of the solver. Intervals of KID are by the jackknife over variants, or over "
-    "takes where these are not learned from. `generated` is of motions whose scales the models drew themselves, one "
-    "for each variant, beside baselines and the closed form at these scales and, as above, chance level. Density and "
-    "coverage are about 1 for draws of the same distribution. Recognised, as table 6 of the paper: the share of "
-    "predicted clips whose interaction is recognised.",
+    introduction="Test variants predicted by a model are compared with variants of the same takes made by the solver, "
+    "in 32 features of a two-person ST-GCN classifier. The classifier was trained on real clips of takes "
+    "that are not held out (listed below). The method `solver` is chance level: the solver's result for "
+    "the same variants. Read KID first (times 1000, unbiased). FID of so few clips is mostly bias; "
+    "compare it with that of the solver only. Intervals of KID are jackknifed over takes if no test take "
+    "was learned from, else over variants. `generated` are motions whose scales the models drew "
+    "themselves, one per variant; baselines and the closed form use the same scales. Density and coverage "
+    "are about 1 for draws of the same distribution. Recognised is the share of predicted clips whose "
+    "interaction is recognised, as in table 6 of the paper.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     compute=_compute,

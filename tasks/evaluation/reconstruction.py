@@ -283,9 +283,10 @@ def _shown(
     places = true - camera.camera_from_world_rotmat @ camera.position_m
     made, true = (turn_to_camera(motion, places) for motion in (made, true))
     caption = (
-        f"{sequence_id}: the image and its reconstruction ({in_words(list(people[0].found_m)[-1])}; Yiannakides et al. "
-        "2019, figs. 6b and 7), first as the camera sees it; turn it, as one camera does not see depth. Better: it "
-        "lies on the grey ground truth. Beside the time: the mean error of that frame."
+        f"{sequence_id}: 2D poses and their reconstruction ({in_words(list(people[0].found_m)[-1])}; "
+        "Yiannakides et al. 2019, figs. 6b and 7), seen by the camera. Turn it: one camera does not show "
+        "depth. Good: it lies on the grey ground truth. The figure beside the time is the mean error of "
+        "the frame."
     )
     return ShownMotion(sequence_id, caption, made, rate_hz, px, true)
 
@@ -293,12 +294,12 @@ def _shown(
 TOPIC = Topic(
     name="reconstruction",
     heading="Reconstruction",
-    introduction="3D motion reconstructed from 2D poses, against the ground truth where there is one. The published "
-    "search and the window rule are those of Yiannakides et al. 2019, figs. 2 to 5. The baseline is, "
-    "frame by frame, the pose of the database whose image is nearest; of a film with a captured motion (take_id) also "
-    "the reconstruction before a level camera. Errors are mean distances of 14 joints "
-    "about the mid-hip; of two people also errors of their distance, depth and relative position. The table of names "
-    "says what each figure and method is.",
+    introduction="3D motion reconstructed from 2D poses, compared with ground truth where it exists. The published "
+    "search and the window rule are those of Yiannakides et al. 2019, figs. 2 to 5. The baseline is the "
+    "nearest pose of the database in each frame; for a film with captured motion (take_id), also the "
+    "reconstruction with a level camera. Errors are mean distances of 14 joints with the mid-hips "
+    "aligned; for two people, also errors of their distance, depth and relative position. The table of "
+    "names explains each figure and method.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     compute=_compute,

@@ -45,11 +45,11 @@ class PageSettings(Parameters):
 
     title: str = Field(
         "A dataset of close two-person motion",
-        description="Title of the report and the card; that of the study by default",
+        description="Title of the report and the card; default: the title of the study",
     )
     description: str = Field(
         "Made with pasdedeux from the takes and annotations named in the study.",
-        description="What the study makes, a sentence or two for the report and the card",
+        description="What the study makes, in one or two sentences, for the report and the card",
     )
 
 
@@ -140,7 +140,9 @@ def _beyond(section: Section) -> list[str]:
     beside = [picture.name for picture in section.pictures[_MAX_PICTURES:]]
     sentences = [f"{len(beside):,} pictures lie beside the page: {listed(beside)}."] if beside else []
     long = [table for table in section.tables if len(table.rows) > _MAX_ROWS]
-    return sentences + [f"{one.caption}: {_MAX_ROWS} of {len(one.rows):,} rows; `scores` has all." for one in long]
+    return sentences + [
+        f"{one.caption}: the first {_MAX_ROWS} of {len(one.rows):,} rows; the table `scores` has all." for one in long
+    ]
 
 
 def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:

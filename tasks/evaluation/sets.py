@@ -48,7 +48,7 @@ _UNITS = {
 }
 _HEADINGS = {
     "set_coverage_D_C": "held-out pair to the set",
-    "set_coverage_lead": "nearer than to lifted pairs by",
+    "set_coverage_lead": "gain over grown pairs",
     "set_precision_D_C": "pair to real frames",
     "set_implausible": "implausible",
     "set_penetration": "penetration",
@@ -77,7 +77,9 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     places = [held_out[at] for at in evenly_spread(len(held_out), _NUM_TRUTH)]
     real = [pairs for name, pairs in known.takes.items() if name not in known.held_out | learned]
     if not places or not real:
-        return TopicResult(notes=["Sets of pairs are not judged: no frame is held out, or none is learned from."])
+        return TopicResult(
+            notes=["Sets of pairs are not judged: they need frames that are held out and frames to learn from."]
+        )
     truth = np.stack([known.takes[name][at] for name, at in places])
     frames = np.concatenate(real)[generator.permutation(sum(map(len, real)))]
     drawn = read_draw_sets(store, draw_refs)
@@ -109,7 +111,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             low, high = lead_interval(paired, GROWN)
             score = Score("set_coverage_lead", name, lead, "m", split="held_out", at=float(size), count=len(places))
             scores.append(replace(score, low=low, high=high))
-    notes = [f"Selected were {selected.in_words()}."] if selected.columns else []
+    notes = [f"Selected: {selected.in_words()}."] if selected.columns else []
     return TopicResult(scores, notes, {"": items}, baselines_of(drawn))
 
 
@@ -150,7 +152,7 @@ def set_table(scores: Sequence[Score]) -> list[TextTable]:
     return [
         pivot_table(
             ranked,
-            f"Can these pairs be used as a set? As many of each, then up to {_LARGEST:,}",
+            f"Can these pairs be used as a set? Sets of equal size first, then up to {_LARGEST:,} pairs",
             ("set", "pairs"),
             lambda score: (in_words(score.method), f"{score.at:,.0f}"),
             _HEADINGS,
@@ -167,13 +169,13 @@ def _tabulate(scores: ScoresOf) -> list[TextTable]:
 TOPIC = Topic(
     name="sets",
     heading="Sets of pairs",
-    introduction="Can the pairs be used as a set? A good one covers motion that nothing was learned from, its members "
-    "look like real frames, and none is impossible or a copy of another. As many real frames are the bound.",
+    introduction="Can the pairs be used as a set? A good set covers unseen motion, its pairs look like real frames, "
+    "and none is impossible or a duplicate. The bound is the same number of real frames.",
     reads=(*READS, "poses"),
     plan=_plan,
     compute=_compute,
     tabulate=_tabulate,
     criteria=(
-        Criterion("set_coverage_D_C", "distance from a held-out pair to a set of one size", "m", "held-out pairs"),
+        Criterion("set_coverage_D_C", "distance from held-out pairs to a set of equal size", "m", "held-out pairs"),
     ),
 )

@@ -57,7 +57,7 @@ def _draw(shown: _ShownTakes) -> Iterator[Picture]:
     held_out = ", held out" if shown.facts.is_held_out else ""
     coloured = zip(person_names(people.shape[1]), cycle(COLOUR_NAMES), strict=False)
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
-    caption = f"Take {take_id}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
+    caption = f"Take {take_id}{held_out}: {who}left limbs darker. Good: feet on the floor, no jumps."
     yield Picture(f"take-{take_id}.player.json", caption, player)
 
 

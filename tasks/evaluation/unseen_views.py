@@ -63,8 +63,8 @@ class UnseenViewsSettings(Parameters):
 
     unseen_views_deg: tuple[float, ...] = Field(
         (),
-        description="Directions from which held-out takes are seen and reconstructed by every method: on the "
-        "projection database's body by parallel rays, as in the paper on it",
+        description="Directions from which held-out takes are seen and reconstructed by every method, on the body of "
+        "the projection database and by parallel rays, as in the paper",
     )
 
 
@@ -129,8 +129,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[_ShownUnseenVie
             fit = reconstruct_seen(searcher, seen, has_clean_up=False)[Method.FIT.value]
             shown.append(_ShownUnseenViews(motion.item, condition.name, motion.rate_hz, seen, fit))
     note = (
-        f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is a bound that "
-        "knows the ground truth."
+        f"{options.take_id} against {searcher.database.num_projections:,} projections; `best_of_50` is a "
+        "bound: it knows the ground truth."
     )
     return TopicResult(scores, [note], {"": Items.joined(parts)}, _BASELINES, shown)
 
@@ -140,7 +140,7 @@ def _draw(shown: Sequence[_ShownUnseenViews]) -> Iterator[Picture]:
     for motion in shown:
         name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
         paper = "Yiannakides et al. 2019, fig. 8"
-        caption = f"{motion.item}, {motion.condition}: the image and the fit ({paper}), first as the camera sees it."
+        caption = f"{motion.item}, {motion.condition}: 2D poses and the fit ({paper}), seen by the camera."
         player = reconstruction_player(
             motion.found_m[:, None],
             rate_hz=motion.rate_hz,
@@ -206,9 +206,9 @@ def paper_table(scores: Sequence[Score]) -> list[TextTable]:
         if metric in ("error_root_kept", "two_views_differ") and item.endswith(tuple(_STATED))
     ]
     caption = (
-        "Clean images: mean joint error with the root kept, and how far two views differ with the root removed, beside "
-        "the figures of Yiannakides et al. (2019, section 6.2), on other motions, and of VNect as that paper gives "
-        "them; standing still is the same from everywhere."
+        "Images without noise: mean joint error with the root kept, and the difference between two views "
+        "with the root removed, beside the figures of Yiannakides et al. (2019, section 6.2) for other "
+        "motions, and those it gives for VNect. Standing still is the same from every view."
     )
     return [TextTable(caption, ("motion", "paper", "VNect", *map(in_words, methods)), tuple(rows))] if rows else []
 
@@ -260,10 +260,10 @@ def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
 PARALLEL_VIEWS = Topic(
     name="parallel_views",
     heading="Unseen motion, parallel rays",
-    introduction="Held-out motion on the body of the projection database, seen by parallel rays: errors of every "
-    "method, and how far reconstructions from two views differ (root rotation removed), as in the paper on such "
-    "databases. `_clean` is the method with the clean-up after it; `live` leaves frame by frame, six frames after its "
-    "image.",
+    introduction="Held-out motion on the body of the projection database, seen by parallel rays as in Yiannakides et "
+    "al. 2019: errors of every method, and the difference between reconstructions from two views (root "
+    "rotation removed). `_clean` is the method followed by the clean-up; `live` gives each frame six "
+    "frames after its image.",
     reads=("poses", "projections", "projection_clusters"),
     plan=_plan,
     compute=_compute,

@@ -60,7 +60,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownViews]:
         if split == "held_out":
             items = Items(errors, [pair.take_id for pair in pairs], [pair.time_s for pair in pairs])
     skipped = [note for facts in ViewFacts.read(store, shard.refs("views")) for note in facts.skipped]
-    notes = [*skipped, *([] if scores else ["No true camera is known, so views have no error."])]
+    notes = [*skipped, *([] if scores else ["No true camera is known, so the error of views cannot be measured."])]
     shown = _ShownViews(*(np.concatenate([table[name] for table in tables]) for name in _ShownViews._fields))
     return TopicResult(scores, notes, {"": items} if scores else {}, ("mean_view",), shown)
 
@@ -68,9 +68,9 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownViews]:
 def _draw(shown: _ShownViews) -> Iterator[Picture]:
     """Draw all hypotheses."""
     caption = (
-        "Estimated view directions: round the pair, and from straight above (0) over level (90 degrees) to straight "
-        "below (180). Each dot is a hypothesis, larger where its weight is (Yin et al. 2018, "
-        "fig. 4b). Better: a few tight clusters for each camera."
+        "Estimated view directions (Yin et al. 2018, fig. 4b): horizontally around the pair, vertically "
+        "from above (0 degrees) to below (180). Each dot is a hypothesis; larger dots have more weight. "
+        "Good: a few tight clusters for each camera."
     )
     yield Picture("views.svg", caption, view_figure(*shown))
 
@@ -109,7 +109,7 @@ def view_figure(psi_rad: Array, phi_rad: Array, weight: Array) -> bytes:
     )
     axis.set_xlim(-180, 180)
     axis.set_ylim(180, 0)
-    label_axis(axis, "direction round the pair (degrees)", "from straight above (degrees)")
+    label_axis(axis, "direction around the pair (degrees)", "angle from above (degrees)")
     return figure_svg(figure, title="estimated views (size: weight of the hypothesis)")
 
 
@@ -125,8 +125,8 @@ def _annotations(table: TableData) -> list[slice]:
 TOPIC = Topic(
     name="views",
     heading="Views",
-    introduction="The direction from which each image was taken, estimated from the people in it and compared with the "
-    "true camera of virtual video. The baseline gives the same direction for every image.",
+    introduction="The camera direction of each image, estimated from the people in it and compared with the true "
+    "camera of virtual video. The baseline is one direction for all images.",
     reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
     compute=_compute,

@@ -138,7 +138,7 @@ def test_a_folder_that_cannot_be_written_to_is_not_called_full(
 ) -> None:
     found = call_in_process(capsys, "run", write(tmp_path, ONE_TAKE), "--store", "/proc/store")
     assert found.code == 2
-    assert found.err.startswith("error: the store /proc/store cannot be made: nothing can be written in /proc; name")
+    assert found.err.startswith("error: the store /proc/store cannot be created: /proc is not writable; name")
 
 
 FILL = """

@@ -86,7 +86,7 @@ def test_every_fault_of_a_folder_is_named(folder: Path, tmp_path: Path, capsys: 
     assert (rows["good"]["verdict"], rows["good"]["reason"]) == ("pass", "")
     assert "one person only" in rows["alone_A"]["reason"]
     assert len(rows["alone_A"]["people"]) == 1
-    assert "one motion twice" in rows["twins"]["reason"]
+    assert "the same motion twice" in rows["twins"]["reason"]
     for kind, said in SAID.items():
         row = rows[kind.replace(" ", "-")]
         assert row["verdict"] in ("warn", "fail"), kind

@@ -56,8 +56,8 @@ def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(
     }
     for shard in TOPIC.plan(StageInputs(evaluated, 1), CoverageSettings()):
         assert TOPIC.compute(shard, store).notes == [
-            "Coverage is not measured on learned: priors learned from these takes.",
-            f"Coverage of {shard.name} frames: there are none.",
+            "Coverage is not measured on learned, because the priors were learned from these takes.",
+            f"Coverage of {shard.name} frames is not measured: there are no such frames.",
         ]
 
 

@@ -548,7 +548,9 @@ def test_a_detector_at_an_address_comes_by_the_command_only_and_with_its_digest(
     assert stated.rpartition("=")[2] in {file.sha256 for file in first.files}
     assert run_command_line(["fetch", "detector", f"https://example.org/net.onnx#sha256={'0' * 64}"]) == 1
     said = capsys.readouterr().err
-    assert said == "error: https://example.org/net.onnx: another file came; its digest is not the stated one\n"
+    assert (
+        said == "error: https://example.org/net.onnx: the digest of the downloaded file differs from the stated one\n"
+    )
     with pytest.raises(InputError, match="does not exist; give the ONNX file"):
         found(film, detect=["none.onnx"])
 

@@ -332,10 +332,10 @@ def test_a_take_whose_capture_fails_is_kept_and_marked_or_skipped_loudly(
     )
     assert {"poses", "takes", "take_quality"} == set(kept["d", "take"].tables)
     assert judged(kept["d", "take"]).level is Level.FAIL
-    assert "one motion twice" in judged(kept["d", "take"]).reason
+    assert "the same motion twice" in judged(kept["d", "take"]).reason
     quality = Store(tmp_path / "False").read(kept["d", "take"].ref, "take_quality")
     assert list(quality["verdict"]) == ["fail", "fail"]
-    assert all("one motion twice" in reason for reason in quality["reason"])
+    assert all("the same motion twice" in reason for reason in quality["reason"])
     assert quality["twin_m"] == pytest.approx(0.0, abs=1e-6)
     assert set(left["d", "take"].tables) == {"take_quality"}
     assert "take_quality" in EVALUATION.reads, "or the report does not say so"

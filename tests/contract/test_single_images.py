@@ -65,7 +65,10 @@ def test_images_give_views_and_are_left_out_of_reconstruction_with_the_reason(
     }
     (shard,) = VIEWS.plan(StageInputs(made, seed=1), VIEWS.settings())
     scored = VIEWS.compute(shard, store)
-    assert (list(scored.scores), list(scored.notes)) == ([], ["No true camera is known, so views have no error."])
+    assert (list(scored.scores), list(scored.notes)) == (
+        [],
+        ["No true camera is known, so the error of views cannot be measured."],
+    )
     (motions,) = store.artifacts("reconstruction")
     (skipped,) = motions.facts["skipped"]
     assert skipped.startswith("images: ")

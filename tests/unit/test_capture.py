@@ -59,10 +59,13 @@ def knee_sinks(body: Array) -> Array:
 FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
     "a foot jumps": (one_changed(foot_jumps), "A: the left_toe jumps by 0.58 m at"),
     "z up read as y up": (lambda pair: pair @ Z_READ_AS_Y.T, "nobody is upright: up_axis may be wrong"),
-    "one motion twice": (lambda pair: np.stack([pair[:, 0], pair[:, 0] + [0.9, 0.0, 0.0]], axis=1), "one motion twice"),
+    "the same motion twice": (
+        lambda pair: np.stack([pair[:, 0], pair[:, 0] + [0.9, 0.0, 0.0]], axis=1),
+        "the same motion twice",
+    ),
     "one person at two scales": (
         lambda pair: np.stack([pair[:, 0], 0.9 * pair[:, 0] @ TURNED + [0.9, 0.0, 0.0]], axis=1),
-        "one motion twice",
+        "the same motion twice",
     ),
     "scale 0.01": (lambda pair: 0.01 * pair, "A: is 0.0182 m tall"),
     "another's unit": (one_changed(lambda body: 2.54 * body), "A: is 4.62 m tall"),
@@ -111,7 +114,7 @@ def test_one_of_three_who_is_far_away_or_another_twice_is_noticed() -> None:
     away, twice = (duet("trio", 30.0).copy() for _ in range(2))
     away[:, 2] += [7.0, 0.0, 0.0]
     twice[:, 2] = twice[:, 0] + [1.5, 0.0, 0.0]
-    for people, said in ((away, "come no nearer than"), (twice, "one motion twice")):
+    for people, said in ((away, "come no nearer than"), (twice, "the same motion twice")):
         verdict = judged(people, 30.0)
         assert verdict.level is Level.FAIL
         assert said in verdict.reason

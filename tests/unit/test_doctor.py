@@ -50,10 +50,10 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("name", "value", "check", "is_ok", "words"),
     [
-        ("memory", 2 * GIB, "memory", True, "2.0 GB; 2 GB per worker is planned for"),
+        ("memory", 2 * GIB, "memory", True, "2.0 GB; 2 GB per worker are assumed"),
         ("memory", 2 * GIB - 1, "memory", False, "2.0 GB"),
         ("memory", None, "memory", True, "unknown"),
-        ("disk", GIB, "store", True, "can be written to, 1.0 GB free"),
+        ("disk", GIB, "store", True, "is writable, 1.0 GB free"),
         ("disk", GIB - 1, "store", False, "1.0 GB free"),
         ("cache", ("/kept", ""), "compiled kernels", True, "kept in /kept"),
         ("cache", ("/kept", "no folder for them"), "compiled kernels", False, "no folder for them"),
@@ -100,4 +100,4 @@ def test_a_store_that_cannot_be_written_is_bad(
 ) -> None:
     monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
     assert run_command_line(["doctor", "--store", str(tmp_path / "store")]) == 1
-    assert f"BAD  store            {tmp_path / 'store'} cannot be written to" in capsys.readouterr().out
+    assert f"BAD  store            {tmp_path / 'store'} is not writable" in capsys.readouterr().out

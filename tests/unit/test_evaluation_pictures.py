@@ -148,7 +148,7 @@ def test_the_page_needs_no_other_file_and_names_everything_and_escapes_what_it_s
     assert page.cells[:2] == ["row <0>", "10"]
     assert [len(scene["panels"]) for scene in page.scenes] == [1] + [2] * 5
     assert page.scenes[0]["panels"][0]["title"] == "</script><b>"
-    assert "what moves first The first 1 of 2 panels" in _page()
+    assert "what moves first Shown: the first 1 of 2 panels" in _page()
 
 
 _PROBE = """
@@ -236,7 +236,7 @@ def test_a_criterion_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
     assert b"ground truth" not in svg, "a bound is no baseline"
     assert b">20<" in svg
     assert "shorter bars are better" in caption
-    assert "plain forward kinematics, has to be beaten" in caption
+    assert "value to beat (plain forward kinematics)" in caption
     assert Criterion("error", "drift", "m", "variants").picture(scores[:1]) is None
     more = [Score("error", "interaction_mesh", 0.3, "m", item=item) for item in "cde"]
     assert Criterion("error", "drift", "m", "variants").picture([*scores, *more]) == (
@@ -290,8 +290,8 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
         "is it good: 3 fail, 3 pass, 1 warn",
     ]
     products = [
-        "draws: fail: meet left-out images worse than nearest pose; not independent; "
-        "cover real pairs better than nearest pose",
+        "draws: fail: match left-out images worse than nearest pose; not independent; cover real pairs "
+        "better than nearest pose",
         "frames between: fail: worse than nearest pose",
         "lifted pairs: pass: better than nearest pose",
     ]

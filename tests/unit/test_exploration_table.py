@@ -23,7 +23,7 @@ def test_the_best_coverage_of_unseen_frames_comes_first_and_chains_are_means_ove
     coverage = [*covered("ic", 20.0), *covered("grown_seeds", 6.0), *covered("ic", 1.0, split="annotated")]
     (table,) = exploration_table(coverage, [went("ic", 0, 0.25), went("ic", 1, 0.75)])
     assert [row[:4] for row in table.rows] == [
-        ("pairs lifted from seeds", "50", "6 cm", "30 frames"),
+        ("grown pairs", "50", "6 cm", "30 frames"),
         ("interaction coordinates", "50", "20 cm", "30 frames"),
     ]
     columns = table.headings.index("accepted")

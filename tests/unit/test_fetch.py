@@ -302,7 +302,7 @@ def test_a_database_is_downloaded_and_built_where_that_was_agreed_to(
     assert (said.code, site.requests, out.exists()) == (0, [], False)
     assert "study mine: 2 takes of CMU; about 2 MB come into" in said.out
     assert "Free for all uses; the data itself may not be resold" in said.out
-    assert said.out.splitlines()[-1] == "nothing was done yet; the same command with --yes begins"
+    assert said.out.splitlines()[-1] == "nothing was done yet; add --yes to start"
     # Built here of the same files first, without Prefect: what the command builds has the same content and is there.
     elsewhere = tmp_path / "elsewhere"
     list(fetch_cmu({"02": ["03"], "20": ["11"]}, elsewhere, base_url=site.url))

@@ -46,7 +46,7 @@ def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(
     assert "report.html" in out
     assert "profile" not in out
     assert call("run", study, "--store", store, "--profile") == 0
-    assert "no profile: nothing was computed; --force STAGE" in capsys.readouterr().out
+    assert "no profile, because nothing was computed; use --force STAGE" in capsys.readouterr().out
 
 
 def test_a_run_until_a_stage_ends_with_a_page_on_what_it_made_and_keeps_a_whole_page(
@@ -275,7 +275,7 @@ def test_verify_finds_a_changed_byte(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert call("verify", "--store", str(store)) == 1
     out = capsys.readouterr().out
     assert "report.html" in out
-    assert "computed again by `pasdedeux run STUDY --force judge`" in out
+    assert "`pasdedeux run STUDY --force judge` recomputes" in out
 
 
 def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
     out = tmp_path / "lines"
     command = ["reconstruct", str(video), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
     assert run_command_line([*command, "--stature", "1=1.5", "--stature", "1.9", "--stature", "7=1.2"]) == 0
-    assert "a stature is stated for person 7, who never came" in capsys.readouterr().err
+    assert "a stature is stated for person 7, who never appeared" in capsys.readouterr().err
     head, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     assert (head["unit"], head["rate_hz"], head["joint_names"][head["parents"].index(-1)]) == ("m", 30.0, "Hips")
     skeleton = Skeleton("live", tuple(head["joint_names"]), tuple(head["parents"]))

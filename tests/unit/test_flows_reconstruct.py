@@ -95,7 +95,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     ]
     assert all(re.search(r"\d+ cm .* (pass|warn|fail)", line) for line in lines)
     assert "camera pitch" in said.err
-    assert "the database has 288 poses of 1 take: enough for motion like its own, not for other" in said.err
+    assert "the database has only 288 poses of 1 take: enough for similar motion, not for other motion" in said.err
     assert "reading " in said.err
     page = Page((out / f"{video.name}.html").read_text())
     assert look == f"look at it: {out / video.name}.html"
@@ -156,7 +156,7 @@ def test_without_a_database_it_is_said_how_to_get_one(
     monkeypatch.chdir(tmp_path)
     assert run_command_line(["reconstruct", str(video)]) == 2
     said = capsys.readouterr().err
-    assert "no projections, which `reconstruct` matches against; `pasdedeux fetch database`" in said
+    assert "no projections, which `reconstruct` needs as its database; `pasdedeux fetch database`" in said
 
 
 def test_the_height_of_the_camera_gives_people_their_size(
@@ -200,7 +200,7 @@ def test_what_only_whole_videos_have_is_refused_live(
 ) -> None:
     assert run_command_line(["reconstruct", str(video), *reference(store), "--follow", *change]) == 2
     assert (
-        f"{' '.join(change).partition('=')[0].removesuffix(' m')} is for whole videos: with --follow, leave it out"
+        f"{' '.join(change).partition('=')[0].removesuffix(' m')} is for whole videos; leave it out with --follow"
         in capsys.readouterr().err
     )
 
@@ -230,7 +230,10 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
     assert "does not exist" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(video), "--store", str(store.root)]) == 2
-    assert "no projections, which `reconstruct` matches against; `pasdedeux fetch database`" in capsys.readouterr().err
+    assert (
+        "no projections, which `reconstruct` needs as its database; `pasdedeux fetch database`"
+        in capsys.readouterr().err
+    )
 
 
 def written(folder: Path, frames: dict[int, str]) -> Path:
@@ -332,9 +335,9 @@ def test_a_file_of_results_is_read_as_a_study_reads_it_and_what_was_assumed_is_s
     assert "clip: format 'coco', layout 'coco17', 30 frames a second assumed (rate_hz), 1920 x 1080" in said
     assert "focal length 1371 px" in said
     assert run_command_line([*command, "--person", "7"]) == 2
-    assert "clip: person 7 is not in it; people: 3, 4" in capsys.readouterr().err
+    assert "clip: the input has no person 7; people: 3, 4" in capsys.readouterr().err
     assert run_command_line([*command, "--stature", "172"]) == 2
-    assert "'172' is none of METRES or PERSON=METRES" in capsys.readouterr().err
+    assert "'172' is neither METRES nor PERSON=METRES" in capsys.readouterr().err
 
 
 def test_two_cameras_of_a_folder_are_two_sequences(

@@ -165,7 +165,7 @@ def test_what_is_known_of_a_take_is_kept_and_said(
     shutil.copy(files / "a.bvh", tmp_path / "copy.bvh")
     assert run_command_line(["retarget", str(files / "a.bvh"), str(tmp_path / "copy.bvh"), *rest]) == 0
     assert not stated
-    assert "one motion twice" in capsys.readouterr().err
+    assert "the same motion twice" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def test_completed_joints_and_frames_between_are_those_of_spread_real_pairs(stor
     settings = lifting.LiftedPairsSettings(num_completed_pairs=3)
     shard = lifting.TOPIC.shard(INPUTS, "completed", settings, takes=takes, draws=[draws])
     result = lifting.TOPIC.compute(shard, store)
-    assert result.notes == [f"Joints were completed from {len(draws_m)} draws and pairs lifted from seeds."]
+    assert result.notes == [f"Hidden joints were completed from {len(draws_m)} draws and grown pairs."]
     truth, pool, generator = lifting._truth_and_pool(shard, store)
     assert len(pool) == len(draws_m)
     for split, take_id in (("learned", "seen"), ("held_out", "hidden")):
@@ -220,9 +220,7 @@ def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) 
     np.testing.assert_allclose(items.times_s, np.concatenate([np.arange(6), np.arange(6), np.arange(4)]) / 30.0)
     assert items.count == 3
     assert result.baselines == ["copy", "naive_fk"]
-    assert result.notes[0].startswith(
-        "Split random: 3 of 3 test variants, of 2 takes, learned from 2. Intervals are over"
-    )
+    assert result.notes[0].startswith("Split random: 3 of 3 test variants of 2 takes; trained on 2. Intervals are over")
     shown = result.shown
     assert [(key.take_id, key.variant_id) for key in shown.keys] == [
         (made[0].name, "v0"),
@@ -277,7 +275,7 @@ def test_generated_motion_is_judged_by_the_contacts_of_its_take_in_millimetres(s
     assert items.count == 1
     np.testing.assert_allclose(items.times_s, held[0] / 30.0)
     assert result.baselines == ("naive_fk", "strangers")
-    assert result.notes[0].endswith("of 1 test take; it learned from other scales of them.")
+    assert result.notes[0].endswith("of 1 test take; the model learned from other scales of these takes.")
     assert list(result.shown.motions_m) == ["g0"]
 
 

@@ -133,6 +133,4 @@ def test_models_of_18_joints_are_no_distributions_and_that_is_said(tmp_path: Pat
         shards = TOPIC.plan(StageInputs({"poses": takes, "models": models}, 0), settings)
         assert [shard.name for shard in shards] == [planned] * bool(models)
     (shard,) = TOPIC.plan(StageInputs({"poses": takes, "models": [other]}, 0), settings)
-    assert TOPIC.compute(shard, store).notes == [
-        "Skipped: the classifier of clips knows body22 alone, and no model is of it."
-    ]
+    assert TOPIC.compute(shard, store).notes == ["Skipped: the clip classifier works on body22, and no model does."]

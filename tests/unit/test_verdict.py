@@ -112,13 +112,13 @@ def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> Non
     ("some", "words"),
     [
         (items(takes=["a"], seconds=9, fitted=0.1, lifting=0.2), "only 9 s of motion or stills to compare; 10 are"),
-        (items(takes=["a"], seconds=12, fitted=0.1), "no baseline was scored beside fitted draws"),
-        (items(takes=["a"], seconds=12, fitted=np.nan, lifting=0.2), "fitted draws has no figure that is finite"),
-        (items(takes=["a"], seconds=12, fitted=np.inf, lifting=0.2), "fitted draws has no figure that is finite"),
-        (Items(), "nothing of it was held out"),
+        (items(takes=["a"], seconds=12, fitted=0.1), "no baseline was scored to compare fitted draws with"),
+        (items(takes=["a"], seconds=12, fitted=np.nan, lifting=0.2), "fitted draws has no finite figure"),
+        (items(takes=["a"], seconds=12, fitted=np.inf, lifting=0.2), "fitted draws has no finite figure"),
+        (Items(), "no data was held out for it"),
         (
             Items.joined([items(takes=["a"], seconds=12, **{one: 0.1}) for one in ("fitted", "lifting")]),
-            "no images have figures of fitted draws and of every baseline",
+            "no images have figures for both fitted draws and every baseline",
         ),
     ],
 )

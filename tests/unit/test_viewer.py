@@ -131,7 +131,7 @@ def test_a_reference_to_a_row_leads_to_its_moment_and_back(store: Store, viewer:
 
 def test_what_is_no_address_is_said(viewer: Viewer) -> None:
     viewer.visit("http://[")
-    assert viewer.panel.message.value == "'http://[' is no address of a moment"
+    assert viewer.panel.message.value == "'http://[' is not the address of a moment"
 
 
 def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
@@ -364,7 +364,7 @@ def test_an_item_that_cannot_be_read_leaves_what_is_shown(viewer: Viewer, monkey
 
 def test_what_was_said_of_one_item_does_not_stand_beside_the_next(viewer: Viewer) -> None:
     viewer.show_part(viewer.part)
-    viewer.panel.tell("no frame of this item fails or is a warning")
+    viewer.panel.tell("no frame of this item fails or has a warning")
     viewer.show_part(viewer.part)
     assert viewer.panel.message.value == ""
 
@@ -679,9 +679,7 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
         film = find_film(manifest, sections)  # type: ignore[arg-type]
         assert film is not None
         assert film.image(0) is None
-        assert (
-            film.trouble == "grey.avi, which these 2D poses are from, is not where the study says, or has changed since"
-        )
+        assert film.trouble == "the film grey.avi of these 2D poses is missing, or has changed since it was read"
 
 
 def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(tmp_path: Path) -> None:
@@ -827,5 +825,5 @@ def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer:
 
     browser = Browser(step_elsewhere)
     viewer.panel.safely(lambda _: save_clip(viewer, browser), is_alone=False)(None)
-    assert viewer.panel.message.value == "the clip was not saved: something else was shown meanwhile"
+    assert viewer.panel.message.value == "the clip was not saved, because another item was shown meanwhile"
     assert (viewer.frame, browser.downloads) == (4, {})

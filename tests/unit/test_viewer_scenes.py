@@ -70,11 +70,11 @@ def test_draws_have_the_figures_of_their_chain_beside_other_chains_of_their_seed
     np.testing.assert_array_equal(scene.curves["log_density"], [-50.0, -49.0, -48.0])
     np.testing.assert_array_equal(scene.others, [[-47.0, -46.0, np.nan]])
     matches = "matches film seen frame 4, d_I 1.23 cm"
-    assert scene.say(0) == ["steps accepted since the draw before: 0", matches]
-    assert scene.say(2) == ["steps accepted since the draw before: 2"]
+    assert scene.say(0) == ["steps accepted since the last draw: 0", matches]
+    assert scene.say(2) == ["steps accepted since the last draw: 2"]
     assert scene.images(2) == [], "it matches nothing"
     (alone,) = scene.images(0)
-    assert alone.title == "this draw, seen from its view"
+    assert alone.title == "this draw in its view"
 
 
 def put_reconstruction(store: Store, found_m: np.ndarray, pitch_deg: float) -> Manifest:

@@ -12,8 +12,12 @@ from flows.exports.cast_files import CastFiles
 from flows.exports.casts import ANNOTATED, Cast, SeenCast, casts, holds_poses
 from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat, write_film
 from pasdedeux.arrays import Array, Flags
+from pasdedeux.bodies import Body, body_of, standing_rest_m
+from pasdedeux.bodies.drawing import draw_faces
 from pasdedeux.errors import InputError, named
 from pasdedeux.evaluation.pictures import COLOUR_NAMES, PERSON_COLOURS, rgb
+from pasdedeux.plausibility.capsules import capsule_model
+from pasdedeux.skeletons import Skeleton
 from storage_schema import Store
 from tasks.facts import PeopleFacts
 from tasks.ingest.film.readers import first_shown, image_at, open_film
@@ -21,15 +25,17 @@ from tasks.ingest.film.readers import first_shown, image_at, open_film
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _COLOURS = tuple(rgb(colour)[::-1] for colour in PERSON_COLOURS)
 """Those of the report, as OpenCV has them: blue, green, red."""
+_OPAQUE = 0.75
+"""Of bodies over the footage."""
 _MARGIN_PX, _LARGEST_PX = 40, 4096
 _FAR = 250
 """An image so many frames ahead is sought; the next ones are read."""
 _STILLS_HZ = 2.0
 """Rate at which frames are shown that do not follow each other in time."""
 _SAID = [
-    f"MP4 files show the annotation in grey and the result in colours, person A in {COLOUR_NAMES[0]} and B in "
-    f"{COLOUR_NAMES[1]}, laid on the annotation by scale and shift: they show poses and who is where, not how far off "
-    "a person is placed."
+    f"MP4 files show the annotation in grey and the result as bodies, person A in {COLOUR_NAMES[0]} and B in "
+    f"{COLOUR_NAMES[1]}, fitted to the annotation by scale and shift: they show poses, but not how far off a person "
+    "is placed."
 ]
 
 
@@ -55,18 +61,46 @@ FORMAT = ExportFormat(
 
 def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
     """Yield the images of the video of one cast."""
+    import cv2  # here: a quarter of a second that others need not wait for
+
     given_px, is_given, size, placed_hz = _annotation(export.store, cast, seen)
     blank = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
     frames = (lambda _: blank) if export.footage is None else Footage(export.footage, placed_hz)
+    bodies: list[Body | None] = []
     for at, frame in enumerate(seen.frames):
-        image = frames(frame).copy()
-        thick = max(2, image.shape[0] // 240)
-        found_px = _laid_on(seen.positions_m[at], given_px[at], is_given[at], together=seen.is_pair)
-        for person in range(len(found_px)):
+        image, people_m = frames(frame).copy(), seen.positions_m[at]
+        if cast.labels or not bodies:  # stills have bones of their own
+            bodies = _bodies(seen.skeleton, people_m[None] if cast.labels else seen.positions_m)
+        scales, shifts = _laid_on(people_m, given_px[at], is_given[at], together=seen.is_pair)
+        thick, corners, colours = max(2, image.shape[0] // 240), [], []
+        clothed = image.copy()
+        for person, body in enumerate(bodies):
+            joints, colour = people_m[person], _COLOURS[person % len(_COLOURS)]
+            if body is None or not np.isfinite(joints).all() or np.isnan(scales[person]):
+                laid_px = scales[person] * joints[:, :2] * (1.0, -1.0) + shifts[person]
+                _bones(clothed, laid_px, seen, colour, thick)
+                continue
+            vertices = body.posed(body.turns(seen.skeleton, joints), joints)
+            laid = scales[person] * vertices[:, :2] + shifts[person] * (1.0, -1.0)  # x right, y up, pixels
+            corners.append(np.column_stack([laid, np.nanmean(scales) * vertices[:, 2]])[body.faces])
+            colours += [colour] * len(body.faces)
+        if corners:
+            draw_faces(clothed, np.concatenate(corners), np.array(colours), lambda points: points[..., :2] * (1, -1))
+        image = cv2.addWeighted(clothed, _OPAQUE, image, 1.0 - _OPAQUE, 0.0)
+        for person in range(len(bodies)):
             grey = np.where(is_given[at, person][:, None], given_px[at, person], np.nan)
             _bones(image, grey, seen, _GREY, thick)
-            _bones(image, found_px[person], seen, _COLOURS[person % len(_COLOURS)], thick)
         yield image
+
+
+def _bodies(skeleton: Skeleton, people_m: Array) -> list[Body | None]:
+    """Return everybody's body, by positions (frame, P, J, 3), metres; None of whom no frame shows whole."""
+    model, bodies = capsule_model(skeleton), []
+    for one_m in np.moveaxis(people_m, 1, 0):
+        whole = one_m[np.isfinite(one_m).all(axis=(1, 2))]
+        rest = (standing_rest_m(skeleton, whole), model.radii_of(whole[:, None])[0]) if len(whole) else None
+        bodies.append(body_of(skeleton, *rest) if rest else None)
+    return bodies
 
 
 def _bones(image: Any, points_px: Array, seen: SeenCast, colour: tuple[int, int, int], thick: int) -> None:
@@ -80,21 +114,21 @@ def _bones(image: Any, points_px: Array, seen: SeenCast, colour: tuple[int, int,
             cv2.line(image, start, stop, colour, thick, cv2.LINE_AA)
 
 
-def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: bool) -> Array:
-    """Return people (P, J, 3), camera axes, in pixels (P, J, 2): scaled and shifted to what is given.
+def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: bool) -> tuple[Array, Array]:
+    """Return scale (P,) and shift (P, 2), pixels, that lay people (P, J, 3), camera axes, on what is given.
 
     A pair is laid on as a whole, people of a video one by one; NaN where fewer than two joints are given.
     """
     flat = people_m[..., :2] * (1.0, -1.0)
-    laid = np.full(flat.shape, np.nan)
+    scales, shifts = np.full(len(flat), np.nan), np.full((len(flat), 2), np.nan)
     for who in [slice(None)] if together else [slice(at, at + 1) for at in range(len(flat))]:
         is_both = is_given[who] & np.isfinite(flat[who]).all(axis=-1)
         if is_both.sum() > 1:
             start, end = flat[who][is_both], given_px[who][is_both]
             middle, to = start.mean(axis=0), end.mean(axis=0)
-            scale = np.sum((start - middle) * (end - to)) / max(float(np.sum((start - middle) ** 2)), 1e-12)
-            laid[who] = to + scale * (flat[who] - middle)
-    return laid
+            scales[who] = np.sum((start - middle) * (end - to)) / max(float(np.sum((start - middle) ** 2)), 1e-12)
+            shifts[who] = to - scales[who][:1] * middle
+    return scales, shifts
 
 
 def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags, tuple[int, int], float | None]:

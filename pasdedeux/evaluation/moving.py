@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.bodies import Body, body_of, standing_rest_m
+from pasdedeux.bodies.drawing import draw_faces
 from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS, rgb
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
@@ -20,8 +22,6 @@ _FINER = 2
 _TITLE_PX, _BOTTOM_PX, _GAP_M = 34, 12, 0.35
 _PAPER, _FLOOR, _INK = (252, 252, 251), (195, 202, 211), (28, 36, 48)
 _QUALITY = 40
-_LIGHT, _DARK = np.array([-0.36, 0.72, 0.6]), 0.35
-"""Where light comes from (right, up, towards the viewer), and the brightness of what it does not reach."""
 
 
 @dataclass(frozen=True)
@@ -53,20 +53,22 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
     )
     cos, sin = np.cos(_PITCH_RAD), np.sin(_PITCH_RAD)
     floor_px = _FINER * _TITLE_PX + scale * (cos * top_m + sin * deep_m)
+    to_view = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
     size = (_FINER * width, int(floor_px + scale * sin * deep_m) + _FINER * _BOTTOM_PX)
 
     def project(points: Array, number: int) -> Array:
-        """Return pixels right and down, and nearness, (*batch, 3)."""
-        x, y, z = np.moveaxis(points - middles[number], -1, 0)
-        right = scale * (x + reach * (2 * number + 1))
-        return np.stack([right, floor_px - scale * (cos * y - sin * z), cos * z + sin * y], axis=-1)
+        """Return pixels right and down (*batch, 2)."""
+        return on_canvas((points - middles[number]) @ to_view, number)
+
+    def on_canvas(seen: Array, number: int) -> Array:
+        """Return pixels of points in axes of the view (*batch, 3): right, up, towards the viewer."""
+        return np.stack([scale * (seen[..., 0] + reach * (2 * number + 1)), floor_px - scale * seen[..., 1]], axis=-1)
 
     def line(canvas: np.ndarray, ends: Array, colour: tuple[int, ...], thick: float) -> None:
         start, stop = (tuple(int(value) for value in end[:2]) for end in ends)
         cv2.line(canvas, start, stop, colour, max(1, round(thick)), cv2.LINE_AA)
 
     bodies = [_bodies(group.people_m) for group in groups]
-    to_viewer = np.array([0.0, sin, cos])
     font = ImageFont.truetype(_font_path(), 14)
     frames = []
     for frame in range(len(groups[0].people_m)):
@@ -75,18 +77,13 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
             ends = [project(middles[at] + [side * reach, 0.0, z], at) for at, side in ((0, -1), (len(groups) - 1, 1))]
             line(canvas, np.stack(ends), _FLOOR, _FINER)
         for number, group in enumerate(groups):
-            drawn = []
+            corners, colours = [], []
             for person, body in enumerate(bodies[number]):
                 joints = group.people_m[frame, person]
-                corners = body.posed(body.turns(BODY22, joints), joints)[body.faces]
-                across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-                normals = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
-                is_seen = normals @ to_viewer > 0.0
-                light = _DARK + (1.0 - _DARK) * 0.5 * (1.0 + normals[is_seen] @ _LIGHT)
-                colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
-                drawn += list(zip(project(corners[is_seen], number), light[:, None] * colour, strict=True))
-            for points, shaded in sorted(drawn, key=lambda one: float(one[0][:, 2].sum())):
-                cv2.fillConvexPoly(canvas, points[:, :2].round().astype(np.int32), shaded.tolist())
+                posed = body.posed(body.turns(BODY22, joints), joints) - middles[number]
+                corners.append((posed @ to_view)[body.faces])
+                colours += [rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])] * len(body.faces)
+            draw_faces(canvas, np.concatenate(corners), np.array(colours), partial(on_canvas, number=number))
             for ends in project(group.links_m[frame], number):
                 if np.isfinite(ends).all():
                     line(canvas, ends, rgb(LINK_COLOUR), 2 * _FINER)

@@ -30,7 +30,7 @@ from tests.builders.rigs import RIGS
 SAID = {
     "floor offset": "people stand on floors",
     "floor tilt": "floor and people tilt",
-    "foot slide": "the feet slide",
+    "foot slide": "the supporting feet slide",
     "first-frame jump": "out of its first frame",
     "swapped bodies": "jumps by",
     "wrong size": "tall by the legs",

@@ -569,12 +569,14 @@ def test_people_are_laid_on_their_image_the_right_way_up_at_its_scale_and_place(
     drawn_px = [900.0, 500.0] + 240.0 * people_m[..., :2] * [1.0, -1.0]
     is_given = np.arange(17) % 3 > 0
     given_px = np.where(is_given[:, None], drawn_px, np.nan)
-    laid_px = _laid_on(people_m, given_px, np.tile(is_given, (2, 1)), together=together)
-    np.testing.assert_allclose(laid_px, drawn_px)
+
+    def laid_px(on_px: np.ndarray) -> np.ndarray:
+        scales, shifts = _laid_on(people_m, on_px, np.tile(is_given, (2, 1)), together=together)
+        return np.asarray(scales[:, None, None] * people_m[..., :2] * [1.0, -1.0] + shifts[:, None])
+
+    np.testing.assert_allclose(laid_px(given_px), drawn_px)
     apart_px = given_px + np.array([[[0.0, 0.0]], [[300.0, 0.0]]])
-    off_px = np.abs(_laid_on(people_m, apart_px, np.tile(is_given, (2, 1)), together=together) - drawn_px).max(
-        axis=(1, 2)
-    )
+    off_px = np.abs(laid_px(apart_px) - drawn_px).max(axis=(1, 2))
     assert (off_px[0].max() > 1.0) == together, "a pair is laid on as a whole"
 
 

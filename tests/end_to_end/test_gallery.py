@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.builders.notebooks import run_notebook
 from tests.builders.real_study import BuiltStudy
 from tests.builders.toy_runs import ROOT
 
@@ -32,7 +33,14 @@ ON_A_STORE = {
     "restart_a_chain.sh": r"new draws: pasdedeux show draws:small-restart-",
 }
 """Examples that need a study that was built."""
-TESTED_ELSEWHERE = ("train_on_windows.py", "train.ipynb", "best_variants.py")
+TESTED_ELSEWHERE = (
+    "train_on_windows.py",
+    "train.ipynb",
+    "best_variants.py",
+    "practice_film.py",
+    "look.ipynb",
+    "film.ipynb",
+)
 
 
 def _run(words: Sequence[str | Path], folder: Path) -> str:
@@ -68,3 +76,9 @@ def test_an_example_works_on_a_store(name: str, small: BuiltStudy, tmp_path: Pat
     if name.endswith(".sh"):
         words = ["sh", EXAMPLES / name, about, store]
     assert re.search(ON_A_STORE[name], _run([str(word) for word in words], tmp_path))
+
+
+@pytest.mark.slow
+def test_the_notebook_looks_at_a_store(small: BuiltStudy, tmp_path: Path) -> None:
+    shown = run_notebook("look.ipynb", f'store, study = {str(small.store)!r}, "small"', tmp_path)
+    assert re.search(r"^\d+ variants: \d\.\d\d mm, baseline \d+ mm$", shown, re.MULTILINE)

@@ -13,6 +13,7 @@ import pytest
 from flows.console.app import run_command_line
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.bvh_writer import write_bvh
+from tests.builders.notebooks import run_notebook
 from tests.builders.toy_runs import ROOT
 
 pytestmark = pytest.mark.slow
@@ -66,6 +67,15 @@ def test_2d_poses_become_pairs_and_motion(here: Path) -> None:
     assert list((here / "lifted").glob("*.glb"))
     assert (here / "lifted" / "look.html").is_file()
     assert sorted(path.name for path in (here / "motion").glob("*.bvh")) == ["hug.A.bvh", "hug.B.bvh"]
+
+
+def test_a_film_becomes_motion(here: Path) -> None:
+    assert follow("film.md") == 5
+    assert (here / "next.jpg").is_file()
+    out = {path.name for path in (here / "out").iterdir()}
+    assert out >= {"dance_0.bvh", "dance_1.bvh", "dance.glb", "dance.html", "dance_units.txt", "dance_people.csv"}
+    shown = run_notebook("film.ipynb", 'folder, name = "out", "dance"', here)
+    assert re.search(r"60 frames at 30 Hz; distance \d\.\d\d to \d\.\d\d m", shown)
 
 
 def test_a_dataset_becomes_a_trained_network(here: Path) -> None:

@@ -73,11 +73,14 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
     "a knee under the floor": (one_changed(knee_sinks), "m deep in the floor"),
     "feet slide": (
         one_changed(lambda body: body + np.linspace(0.0, 8.0, len(body))[:, None, None] * [1.0, 0.0, 0.0]),
-        "A: the feet slide at 1.0",
+        "A: the supporting feet slide at 1.0",
     ),
     "noise": (one_changed(lambda body: body + np.random.default_rng(1).normal(0.0, 0.03, body.shape)), "m/s3"),
     "partners far apart": (lambda pair: pair + np.array([[[0.0, 0.0, 0.0]], [[9.0, 0.0, 0.0]]]), "come no nearer than"),
-    "through each other": (lambda pair: pair - pair[:, :, :1] * [1.0, 0.0, 1.0], "the partners' spines come to"),
+    "through each other": (
+        lambda pair: pair - pair[:, :, :1] * [1.0, 0.0, 1.0],
+        "the spines of the partners come within",
+    ),
 }
 
 
@@ -97,7 +100,7 @@ def test_two_of_one_body_are_doubted_though_they_move_each_in_their_own_way() ->
     assert judged(same, 30.0).level is Level.PASS
     verdict = judged(np.stack([same[:, 0], twin], axis=1), 30.0)
     assert verdict.level is Level.WARN
-    assert "the partners have one body" in verdict.reason
+    assert "the partners have the same body" in verdict.reason
 
 
 def test_how_deep_people_are_in_each_other_is_said() -> None:

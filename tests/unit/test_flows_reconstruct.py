@@ -224,7 +224,7 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_command_line(["reconstruct", str(tmp_path), *reference(store), "--stature", "172"]) == 2
-    assert "stature '172' is none of" in capsys.readouterr().err, "before anything is read"
+    assert "stature '172' is neither" in capsys.readouterr().err, "before anything is read"
     assert run_command_line(["reconstruct", str(tmp_path), *reference(store)]) == 2
     assert "holds no files of 2D poses" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2

@@ -176,7 +176,10 @@ def _reconstruct_video(
             reconstruction, sequence, out, units=units, motion=motion if is_steadied else None, film=found_film
         )
         say(format_table(_HEADER, written.rows, text_columns=(0, len(_HEADER) - 1)))
-        echo(f"{written.decisions}: who is who; --set people_file=COPY with changes overrules it", err=True)
+        echo(
+            f"{written.decisions}: identities; to correct them, edit a copy and give it with --set people_file=COPY",
+            err=True,
+        )
         echo(f"look at it: {written.page}")
         for person_id, reason in reconstruction.people.skipped.items():
             echo(f"person {person_id} was skipped: {reason}", err=True)

@@ -18,6 +18,8 @@ from pasdedeux.verdict import Level, Paired, Verdict
 
 FEWEST_BLOCKS = 10
 """Seconds of motion or stills below which nothing is judged."""
+NEGLIGIBLE = 0.01
+"""Differences of means below this part of the baseline's do not matter, however certain they are."""
 _HELD_OUT = "held_out"
 _NOTHING = "no data was held out for it"
 
@@ -116,18 +118,22 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     """Return the verdict on a method: the rule that holds wherever methods are compared.
 
     The difference to each baseline on the same items has an interval by bootstrap: over takes where there are five,
-    else over blocks of 1 s.  Pass where every interval lies on the good side, fail where one lies on the bad side, warn
-    in between; not judged without a baseline, or with items in fewer than ten blocks of 1 s.  The baseline that is
-    named is the one that is hardest to beat.
+    else over blocks of 1 s.  Pass where every interval lies on the good side, fail where one lies on the bad side, and
+    the means differ by 1 % of the baseline's or more; warn in between.  Not judged without a baseline, or with items in
+    fewer than ten blocks of 1 s.  The baseline that is named is the one that is hardest to beat.
     """
     sizes, num_blocks = np.array(paired.sizes, dtype=np.float64), len(paired.sizes)
     mean = {name: float(np.sum(found) / sizes.sum()) if num_blocks else math.nan for name, found in paired.sums.items()}
     sign = _sign(paired)
     intervals = {name: lead_interval(paired, name) for name in paired.baselines if num_blocks >= FEWEST_BLOCKS}
-    is_behind = any(high < 0.0 for _, high in intervals.values())
+    leads = {name: sign * (mean[name] - mean[paired.method]) for name in paired.baselines}
+    matters = {name: abs(leads[name]) >= NEGLIGIBLE * abs(mean[name]) for name in paired.baselines}
+    is_behind = any(high < 0.0 and matters[name] for name, (_, high) in intervals.items())
     hardest = min(
         paired.baselines,
-        key=lambda name: intervals[name][is_behind] if intervals else sign * mean[name],
+        key=lambda name: (
+            (is_behind and not matters[name], intervals[name][is_behind]) if intervals else (False, sign * mean[name])
+        ),
         default="",
     )
     method, beaten = in_words(paired.method), in_words(hardest) if hardest else ""
@@ -141,8 +147,9 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
             else f"no {thing} have figures for both {method} and every baseline"
         )
     else:
-        lead, (low, high) = sign * (mean[hardest] - mean[paired.method]), intervals[hardest]
-        level = Level.FAIL if is_behind else Level.PASS if low > 0.0 else Level.WARN
+        lead, (low, high) = leads[hardest], intervals[hardest]
+        is_ahead = all(low > 0.0 and matters[name] for name, (low, _) in intervals.items())
+        level = Level.FAIL if is_behind else Level.PASS if is_ahead else Level.WARN
         if is_worse := is_behind or lead < 0.0:
             lead, low, high = -lead, -high, -low
         by, ends = format_interval(lead, low, high, unit)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import Criterion, Items, figure_words, merge_verdicts
 from pasdedeux.verdict import Level, Verdict
@@ -79,6 +80,15 @@ def test_what_may_be_chance_is_a_warning() -> None:
         verdict = verdict_on(items(takes=["a"], seconds=12, fitted=0.2 + chance, lifting=0.21))
         assert verdict.level is Level.WARN
         assert f"about as well as lifting alone, {words}" in verdict.reason
+
+
+@pytest.mark.parametrize(("fitted", "level"), [(0.0985, "pass"), (0.0995, "warn"), (0.1005, "warn"), (0.1015, "fail")])
+def test_a_difference_of_less_than_one_percent_does_not_matter_however_certain(fitted: float, level: str) -> None:
+    found = verdict_on(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.1))
+    assert found.level == level
+    close = verdict_on(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.1, mean_pair=0.101))
+    assert close.level == level
+    assert close.baseline_name == in_words("lifting")
 
 
 def test_larger_may_be_better() -> None:

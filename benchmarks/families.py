@@ -36,8 +36,8 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.errors import root_centred_error_m
+from pasdedeux.reconstruction.matching import Method
 from pasdedeux.reconstruction.people import SequenceOptions
-from pasdedeux.reconstruction.reconstruct import Method
 from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14

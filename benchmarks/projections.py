@@ -34,8 +34,9 @@ from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
 from pasdedeux.reconstruction.live.person import NUM_CANDIDATES, LivePose
 from pasdedeux.reconstruction.live.window_fit import WindowFit
+from pasdedeux.reconstruction.matching import Method, Searcher, match_track
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
-from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 

@@ -14,7 +14,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.skeletons.layouts import LAYOUTS
 
 RATE_HZ = 30.0

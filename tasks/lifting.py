@@ -8,21 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.expected_error import expected_error, expected_over_time
-from pasdedeux.completion.fit import fit_pair, pooled_lengths
-from pasdedeux.completion.in_betweens import fill_between, straight_between
-from pasdedeux.completion.occlusion import complete_pair, in_depth_order
-from pasdedeux.completion.retrieval import image_residual, retrieve
+from pasdedeux.completion.retrieval import retrieve
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.annotated import (
-    as_pair17,
     database_of_draws,
     database_of_takes,
 )
@@ -31,7 +26,7 @@ from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.annotated_pairs import PLACE_COLUMNS, PairPlace, SeenPair, read_seen_pairs
+from tasks.annotated_pairs import PairPlace, SeenPair, read_seen_pairs
 from tasks.committing import commit
 from tasks.draw_sets import (
     DrawSet,
@@ -45,6 +40,7 @@ from tasks.draw_sets import (
 )
 from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
 from tasks.kept import kept
+from tasks.lifted_rows import EXPECTED, Row, Together, as_columns, fill_span, lift_annotation, lifted_row
 from tasks.over_time import couples_of, is_video, lift_couple
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
@@ -53,15 +49,11 @@ from tasks.streams import stream
 
 LIFTING = StageName("lifting", 15)
 
-Row = dict[str, Any]
 DOUBTFUL_M = 0.15
 """Median expected error above which lifted pairs are doubted."""
-_EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 
 _NUM_HYPOTHESES = 8
 """Likeliest view hypotheses of an annotation that draws compete in."""
-_NUM_COMPLETING = 100
-"""Draws nearest in D_I that joints not seen are taken from."""
 _NUM_NAIVE = 1000
 """Samples round each pair of the baseline naive_sampling."""
 
@@ -150,13 +142,15 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     over_time = _over_time(shard, store, in_time, set(wanted), options.pitches_deg)
     for place in wanted:
         known = lifted_from.get(place[:3], ())
-        new_rows, fitted[place] = _lift(every[place], draws, index, known, over_time.get(place))
+        new_rows, fitted[place] = lift_annotation(every[place], draws, index, known, over_time.get(place))
         rows += new_rows
     for name, own in _compared(store, shard.refs("draws"), options.compared).items():
         nearest = [retrieve(own, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
-        rows += [_row(every[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)]
+        rows += [
+            lifted_row(every[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)
+        ]
     rows += _baselines(shard, store, [every[place] for place in wanted], every)
-    between = [row for span in spans for row in _fill(span, fitted, draws)]
+    between = [row for span in spans for row in fill_span(span, fitted, draws)]
     skipped = f"{shard.partition}: {num_skipped} annotated pairs were not lifted, too little was seen"
     facts = LiftedFacts(
         sequence_ids=annotated.sequence_ids,
@@ -168,9 +162,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         takes=merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
         skipped=(skipped,) if num_skipped else (),
     )
-    tables = {"lifted_pairs": _columns(rows)} if rows else {}
+    tables = {"lifted_pairs": as_columns(rows)} if rows else {}
     if between:
-        tables["in_betweens"] = _columns(between)
+        tables["in_betweens"] = as_columns(between)
     return commit(shard, store, tables=tables, facts=facts, verdict=_verdict(rows, num_skipped))
 
 
@@ -186,7 +180,7 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
         reason = f"nothing was lifted: {num_skipped} annotated pairs show too little or have no view"
     elif nearest >= mean_pair:
         level, reason = Level.WARN, "the nearest draws look no more like the images than the mean of all draws does"
-    elif (expected := float(np.median([one for row in rows if (one := row[_EXPECTED[0]]) is not None]))) > DOUBTFUL_M:
+    elif (expected := float(np.median([one for row in rows if (one := row[EXPECTED[0]]) is not None]))) > DOUBTFUL_M:
         level, reason = Level.WARN, f"draws had to be bent far: joints are expected {100 * expected:.0f} cm off"
     return Verdict(
         level,
@@ -227,20 +221,6 @@ def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[
     return [spans[at] for at in evenly_spread(len(spans), num_spans)]
 
 
-def _row(seen: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
-    return {
-        **seen.place._asdict(),
-        "method": method,
-        "num_joints_seen": seen.num_seen,
-        "residual_m": image_residual(pair_m, seen.image_m),
-        "draw": None,
-        "hypothesis": None,
-        **dict.fromkeys(_EXPECTED),
-        "pair17_m": pair_m - pair_m.reshape(-1, 3).mean(axis=0),
-        **more,
-    }
-
-
 @kept()
 def _searched(
     store: Store, database: tuple[ArtifactRef, ...], draws: tuple[ArtifactRef, ...], pitches_deg: Pitches
@@ -255,17 +235,9 @@ def _searched(
     return database_of_draws(_indexed_draws(store, draws)[0].pairs_m, pitches), True
 
 
-class _Together(NamedTuple):
-    """Two people (2, 14, 3) lifted with others of their camera; what is expected to err; whether draws were used."""
-
-    people_m: np.ndarray
-    expected_m: float
-    is_of_draws: bool
-
-
 def _over_time(
     shard: Shard, store: Store, places: Sequence[PairPlace], wanted: set[PairPlace], pitches_deg: Pitches
-) -> dict[PairPlace, _Together]:
+) -> dict[PairPlace, Together]:
     """Return both people at the wanted ones of these places of videos, from them and some between."""
     facts = SequenceFacts.of(store.manifest(shard.ref("annotations")))
 
@@ -276,48 +248,7 @@ def _over_time(
     for own in couples_of(facts, places).values():
         lifted |= lift_couple(store, shard.ref("annotations"), own, wanted, database)
     is_of_draws = bool(lifted) and _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[1]
-    return {place: _Together(*pair, is_of_draws) for place, pair in lifted.items()}
-
-
-def _lift(
-    seen: SeenPair,
-    draws: DrawSet,
-    index: DrawIndex,
-    drawn: Sequence[int],
-    over_time: _Together | None = None,
-) -> tuple[list[Row], np.ndarray]:
-    """Return the rows of one annotation, and its last pair in place; `drawn` are the draws that were lifted from it."""
-    nearest = retrieve(index, seen.image_m, seen.directions)
-    known = {
-        "draw": draws.reference(int(nearest.nearest.draw[0])),
-        "hypothesis": int(seen.hypotheses[nearest.nearest.view[0]]),
-    }
-    lengths = pooled_lengths(nearest.pairs_m, nearest.weight)
-    fitted = fit_pair(seen.image_m, nearest.mean_m, lengths)
-    rows = [
-        _row(seen, "nearest", nearest.pairs_m[0], **known),
-        _row(seen, "neighbours", nearest.mean_m, **known),
-        _row(seen, "fitted", fitted, **known),
-    ]
-    if not seen.is_seen.all():
-        incomplete = np.where(seen.is_seen[..., None], fitted, np.nan)
-        fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=_NUM_COMPLETING).fitted_m
-        if over_time is not None:  # one image says little of who is in front, its video more
-            fitted = in_depth_order(fitted, as_pair17(over_time.people_m, fitted))
-        rows.append(_row(seen, "completed", fitted, **known))
-    has_own_draw = bool(np.isin(drawn, nearest.nearest.draw).any())
-    mean_m = retrieve(index, seen.image_m, seen.directions, without=drawn).mean_m if has_own_draw else nearest.mean_m
-    expected = expected_error(seen.image_m, mean_m, fitted, has_own_draw=has_own_draw)
-    if over_time is not None:
-        expected = expected_over_time(expected if over_time.is_of_draws else None, over_time.expected_m)
-        fitted = as_pair17(over_time.people_m, fitted)
-        off = np.nanmean(np.where(seen.is_seen[..., None], fitted[..., :2] - seen.image_m, np.nan), axis=(0, 1))
-        fitted = fitted - np.array([*off, fitted[..., 2].mean()])
-        rows.append(_row(seen, "over_time", fitted, **known))
-    rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
-    # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
-    rows.append(_row(seen, "mean_pair", index.placed_mean(seen.directions[0], seen.image_m)))
-    return rows, fitted
+    return {place: Together(*pair, is_of_draws) for place, pair in lifted.items()}
 
 
 def lift_again(
@@ -353,7 +284,7 @@ def lift_again(
         seen = next((one for place, one in every.items() if place[:2] == moment), None)
         if seen is None:
             raise InputError(f"{moment[0]} frame {moment[1]} has no view, or shows too little to be lifted")
-        pairs.append(_lift(seen, draws, index, ())[1])
+        pairs.append(lift_annotation(seen, draws, index, ())[1])
     return pairs[0], pairs[1]
 
 
@@ -410,39 +341,8 @@ def _baselines(
         if "naive_sampling" in options.baselines:
             rng = stream(shard.seed, "lifting", *one.place)
             made["naive_sampling"] = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
-        rows += [_row(one, method, pair_m) for method, pair_m in made.items() if method in options.baselines]
+        rows += [lifted_row(one, method, pair_m) for method, pair_m in made.items() if method in options.baselines]
     return rows
-
-
-def _fill(span: tuple[PairPlace, PairPlace], fitted: dict[PairPlace, np.ndarray], draws: DrawSet) -> list[Row]:
-    """Return the rows between two lifted pairs of a sequence."""
-    first, last = (end.frame for end in span)
-    ends = [fitted[end] - fitted[end].reshape(-1, 3).mean(axis=0) for end in span]
-    count = last - first - 1
-    if count < 1:
-        return []
-    filled = {
-        "draws": fill_between(ends[0], ends[1], count, draws.pairs_m),
-        "straight": straight_between(ends[0], ends[1], count),
-    }
-    return [
-        {
-            **span[0]._replace(frame=first + 1 + at)._asdict(),
-            "method": method,
-            "first_frame": first,
-            "last_frame": last,
-            "pair17_m": pair,
-        }
-        for method, pairs in filled.items()
-        for at, pair in enumerate(pairs)
-    ]
-
-
-def _columns(rows: list[Row]) -> dict[str, list[Any]]:
-    """Return rows as columns, in the order of the table."""
-    order = (*PLACE_COLUMNS, "method")
-    ordered = sorted(rows, key=lambda row: (*(row[name] for name in order), row.get("first_frame", 0)))
-    return {name: [row[name] for row in ordered] for name in ordered[0]}
 
 
 STAGE = Stage(

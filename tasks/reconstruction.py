@@ -15,9 +15,10 @@ from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
+from pasdedeux.reconstruction.matching import Method
 from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.people import MethodMotions, SequenceOptions
-from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER, Method
+from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
 from pasdedeux.verdict import Level, Verdict

@@ -19,8 +19,9 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
+from pasdedeux.reconstruction.matching import Matches
 from pasdedeux.reconstruction.proportions import retarget_image
-from pasdedeux.reconstruction.reconstruct import Matches, ReconstructedTrack
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.skeletons import OP14
 
 _NUM_CANDIDATES = 20

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 

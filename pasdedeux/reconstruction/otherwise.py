@@ -13,7 +13,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.lying import is_on_floor, laid_down, searcher_over
-from pasdedeux.reconstruction.reconstruct import Matches, Searcher, match_track
+from pasdedeux.reconstruction.matching import Matches, Searcher, match_track
 from pasdedeux.reconstruction.scene import SceneEstimate
 from pasdedeux.reconstruction.tracks import Track
 

@@ -18,18 +18,10 @@ from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips, mot
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
 from pasdedeux.reconstruction.lying import searchers_for
+from pasdedeux.reconstruction.matching import Matches, Method, Searcher, match_track, odd_window
 from pasdedeux.reconstruction.otherwise import doubt_of_camera, seen_otherwise
 from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset
-from pasdedeux.reconstruction.reconstruct import (
-    SMOOTHING_S,
-    Matches,
-    Method,
-    ReconstructedTrack,
-    Searcher,
-    match_track,
-    odd_window,
-    reconstruct_track,
-)
+from pasdedeux.reconstruction.reconstruct import SMOOTHING_S, ReconstructedTrack, reconstruct_track
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
 from pasdedeux.reconstruction.sizes import sized_by_height, sized_by_stature, statures_implied
 from pasdedeux.reconstruction.tracks import Track

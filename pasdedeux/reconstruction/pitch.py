@@ -12,14 +12,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.lying import is_on_floor, searchers_for, stands
-from pasdedeux.reconstruction.reconstruct import (
-    Method,
-    ReconstructedTrack,
-    ReconstructionOptions,
-    Searcher,
-    match_track,
-    reconstruct_track,
-)
+from pasdedeux.reconstruction.matching import Method, ReconstructionOptions, Searcher, match_track
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack, reconstruct_track
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 

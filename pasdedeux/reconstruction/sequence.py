@@ -11,9 +11,9 @@ import numpy.typing as npt
 from pasdedeux.arrays import Integers
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.published import Clusters
+from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
-from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Track
 

@@ -18,14 +18,9 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson
+from pasdedeux.reconstruction.matching import Matches, ReconstructionOptions, Searcher, match_track
 from pasdedeux.reconstruction.pitch import floor_offset
-from pasdedeux.reconstruction.reconstruct import (
-    Matches,
-    ReconstructionOptions,
-    Searcher,
-    match_track,
-    reconstruct_track,
-)
+from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 

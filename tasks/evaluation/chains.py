@@ -19,7 +19,7 @@ from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, read_all_seen, with_views
 from tasks.draw_sets import is_chain, knows_annotations
-from tasks.evaluation.lifting import rows_figure
+from tasks.evaluation.lifting_pictures import rows_figure
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import DrawFacts
 from tasks.stage import Parameters, Shard, StageInputs

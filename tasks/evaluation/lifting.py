@@ -15,17 +15,8 @@ from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.errors import completion_errors, in_between_errors, lifted_errors
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
-from pasdedeux.evaluation.names import in_words, part_in_words
 from pasdedeux.evaluation.pictures import (
-    CLOUD,
     Picture,
-    draw_pair,
-    figure_svg,
-    label_axis,
-    legend_beside,
-    new_figure,
-    pack_player,
-    people_panel,
 )
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
@@ -44,6 +35,7 @@ from tasks.annotated_pairs import (
 )
 from tasks.draw_sets import GROWN, draw_manifests, knows_annotations, read_all_draws, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
+from tasks.evaluation.lifting_pictures import expected_figure, lifted_player, rows_figure
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
 from tasks.facts import LiftedFacts, SequenceFacts
 from tasks.products import BASELINES
@@ -63,8 +55,6 @@ _NUM_NEAREST, _NUM_NEAREST_SHOWN = 3, 5
 _NUM_HYPOTHESES = 4
 _EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 _MAX_KNOWN = 600
-_CELL_M = np.array([1.75, 2.7])
-"""Width and height that a pair has in a picture of many, metres."""
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown pairs are all used."""
 
@@ -260,36 +250,6 @@ def calibration_scores(expected_m: Array, errors_m: Array, *, split: str) -> lis
     return scores_of(figures, "fitted", split=split, count=len(value))
 
 
-def expected_figure(parts: Mapping[str, tuple[Array, Array]]) -> bytes:
-    """Draw true errors (n,) over expected ones (n, 3), metres, of each part, and what holds 80 %; give SVG bytes."""
-    figure, ((axis,),) = new_figure(5.8, 3.6)
-    for marker, (name, (expected, errors)) in zip("os^D", parts.items(), strict=False):
-        label = part_in_words(name)
-        axis.scatter(100 * expected[:, 0], 100 * errors, s=14, marker=marker, label=label, alpha=0.7, **CLOUD)
-    every = 100 * np.concatenate([expected for expected, _ in parts.values()])
-    every = every[np.argsort(every[:, 0])]
-    axis.plot(every[:, 0], every[:, 0], color="#444444", linewidth=0.8)
-    axis.fill_between(every[:, 0], every[:, 1], every[:, 2], color="#444444", alpha=0.12, linewidth=0)
-    label_axis(axis, "expected error (cm)", "true error (cm)")
-    legend_beside(axis)
-    return figure_svg(figure)
-
-
-def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
-    """Show examples one after another, a panel for each method that any of them has.
-
-    Args:
-        examples: For each example the pairs (2, 17, 3) by method, camera axes, metres; each is shown about its middle.
-    """
-    panels = []
-    for method in dict.fromkeys(name for example in examples for name in example):
-        pairs = [example.get(method, np.full((2, PAIR17.num_joints, 3), np.nan)) for example in examples]
-        people = np.stack([pair - pair.reshape(-1, 3).mean(axis=0) for pair in pairs])
-        panels.append(people_panel(in_words(method), PAIR17, people))
-    labels = [f"example {number + 1} of {len(examples)}" for number in range(len(examples))]
-    return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
-
-
 def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     """Show some lifted pairs, each with the annotations and draws most like it (Yin et al. 2018, fig. 11)."""
     index = DrawIndex(read_all_draws(store, shard.refs("draws")).pairs_m)
@@ -343,24 +303,6 @@ def _row(seen: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIn
         row += [(f"annotation, {100 * far:.0f} cm", images[at]) for at, far in zip(nearest, distance, strict=True)]
     draws, distance = nearest_by_image(index, seen.image_m, seen.directions, count=_NUM_NEAREST)
     return row + [(f"draw, {100 * far:.0f} cm", pair[..., :2]) for pair, far in zip(draws, distance, strict=True)]
-
-
-def rows_figure(rows: Sequence[tuple[str, Sequence[tuple[str, Array]]]]) -> bytes:
-    """Draw rows of pairs (person=2, joint=17, 2), metres, NaN where not seen, with their words; give SVG bytes."""
-    width, height = max(len(pairs) for _, pairs in rows) * _CELL_M[0], len(rows) * _CELL_M[1]
-    figure, ((axis,),) = new_figure(9.0, 9.0 * height / width)
-    axis.set_xlim(0.0, width)
-    axis.set_ylim(-height, 0.0)
-    axis.set_aspect("equal")
-    axis.set_axis_off()
-    for row, (label, pairs) in enumerate(rows):
-        for column, (words, points) in enumerate(pairs):
-            middle, top = _CELL_M[0] * (column + 0.5), -_CELL_M[1] * row
-            draw_pair(axis, points, np.array([middle, top - 0.56 * _CELL_M[1]]))
-            lines = words.replace(", ", "\n")
-            axis.text(middle, top - 0.17 * _CELL_M[1], lines, fontsize=7, ha="center", va="center")
-        axis.text(0.0, -_CELL_M[1] * (row + 0.05), label, fontsize=7, fontweight="bold")
-    return figure_svg(figure)
 
 
 def _completed(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -13,7 +12,6 @@ from pydantic import Field
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
-from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.mesh_refine import refine
@@ -24,10 +22,11 @@ from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
 from pasdedeux.learning.sampling import NUM_STEPS
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey
 from pasdedeux.plain_text import counted
-from pasdedeux.skeletons import BODY22, EXPI18
+from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import some_of
 from storage_schema import Manifest, Store, TableData
 from tasks.augmentation import solver_variants
+from tasks.evaluation.model_tables import AT_LARGEST, LARGEST_SCALE, model_tables
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
@@ -37,14 +36,8 @@ from tasks.training.run import load_stored
 
 _DRAWS = 10
 """Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
-_LARGEST_SCALE = 1.25
-"""Scale of the published table of largest scales."""
-_AT_LARGEST = f" at {_LARGEST_SCALE}"
 _SCALE_STEP = 0.05
-_PUBLISHED = ("E_r", "E_b", "JPD")
 _OF_LOG = ("model", "step", "quantity", "value")
-_STILL_FALLS = 1.0
-"""Percent by which validation falls in the last segment of a training that ended too early."""
 
 
 class ModelsSettings(Parameters):
@@ -142,8 +135,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     for motion in sorted({interactions[key.take_id] for key in tested}):
         motion_rows = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
         scores += scores_of_rows(motion, motion_rows)
-        largest = [row for row in motion_rows if np.isclose(tested[row].furthest_scale, _LARGEST_SCALE)]
-        scores += scores_of_rows(f"{motion}{_AT_LARGEST}", largest)
+        largest = [row for row in motion_rows if np.isclose(tested[row].furthest_scale, LARGEST_SCALE)]
+        scores += scores_of_rows(f"{motion}{AT_LARGEST}", largest)
     drawn: dict[str, list[Errors]] = {}
     for take_id, meter in meters.items():
         for draw in range(_DRAWS):
@@ -310,17 +303,6 @@ def refined_scores(
     return model_scores({f"{name}_refined": errors}, split=split, item="all", takes=takes)
 
 
-def _without_seed(score: Score) -> str:
-    """Return the name of a score's model without the seed that it was trained with."""
-    return re.sub(r"_seed\d+$", "", score.method)
-
-
-def _of_seeds(seed_scores: Sequence[Score]) -> str:
-    """Return mean, least and most of the figures of several seeds."""
-    values = [one.value for one in seed_scores]
-    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f}, {len(values)} seeds)"
-
-
 def model_figure(
     scales: Sequence[float], errors: Mapping[str, Sequence[Errors]], *, baselines: Collection[str], split: str
 ) -> bytes:
@@ -369,86 +351,6 @@ def case_player(cases: Mapping[str, tuple[TrainingItem, Array]]) -> bytes:
         title = f"{what}: {item.request.take_id} {item.variant_id}"
         panels.append(people_panel(title, skeleton, guessed - middle, truth_m=true - middle))
     return pack_player(panels, rate_hz=rate_hz)
-
-
-def model_tables(scores: Sequence[Score]) -> list[TextTable]:
-    """Return E_r and PWD of every model on every split, and the published tables 2 and 3 with our models."""
-    known = [score for score in scores if np.isnan(score.at)]
-    of_all = [score for score in known if (score.metric, score.item) == ("E_r", "all")]
-    # Baselines first, then from worst to best.
-    ranked = {
-        name: (not own[0].is_baseline, -float(np.mean([score.value for score in own])))
-        for name in {score.method for score in of_all}
-        for own in [[score for score in of_all if score.method == name]]
-    }
-    models = {name: in_words(name) for name in sorted(ranked, key=lambda name: ranked[name])}
-    found = {score.split.removesuffix(" test") for score in known}
-    splits = {
-        f"{name} test": name for one in SPLIT_NAMES for name in sorted(found) if name in (one, f"{one}_{EXPI18.name}")
-    }
-    is_falling = {(s.method, s.split) for s in known if s.metric == FALL and s.value > _STILL_FALLS}
-    order = {name: number for number, name in enumerate((*models, *splits))}
-    known = [score for score in known if score.method in models and score.split in splits]
-    known.sort(key=lambda one: (one.item, order[one.split], order[one.method], one.metric))
-
-    def by_model(caption: str, item: str, metrics: Sequence[str], cell: Callable[[Sequence[Score]], str]) -> TextTable:
-        own = [one for one in known if one.item == item and one.metric in metrics]
-        own.sort(key=lambda one: order[one.method])
-        return pivot_table(own, caption, ("model",), lambda s: (models[s.method],), splits, lambda s: s.split, cell)
-
-    def by_motion(caption: str, *, is_largest: bool) -> TextTable:
-        own = [one for one in known if one.item not in ("all", GENERATED) and one.metric in _PUBLISHED]
-        own = [one for one in own if one.item.endswith(_AT_LARGEST) == is_largest]
-        headings, names = ("motion", "split"), lambda s: (s.item.removesuffix(_AT_LARGEST), splits[s.split])
-        return pivot_table(own, caption, headings, names, models, lambda s: s.method, _values(_PUBLISHED))
-
-    def on_splits(found: Sequence[Score]) -> str:
-        mark = " (validation still fell)" if (found[0].method, found[0].split) in is_falling else ""
-        return " / ".join(format_score(one).replace(" cm", "") for one in found) + mark
-
-    tables = [
-        by_model(
-            "E_r and proximity-weighted distance (cm) on every split, with 95 % intervals over takes if "
-            "no test take was learned from, else over test variants. Marked: the last segment of training "
-            f"reduced the validation error by more than {_STILL_FALLS:g} %, so longer training would "
-            "change the figures",
-            "all",
-            ("E_r", "PWD"),
-            on_splits,
-        ),
-        by_model(
-            "Drift of contacts (mm) / JPD (cm): as predicted, and for the best network after two mesh steps",
-            "all",
-            ("contact_error", "JPD"),
-            _values(("contact_error", "JPD")),
-        ),
-        by_motion("As table 2 of the paper (retargeting): E_r, cm / E_b, mm / JPD, cm", is_largest=False),
-        by_motion(
-            f"As table 3 of the paper, scale {_LARGEST_SCALE} alone: E_r, cm / E_b, mm / JPD, cm", is_largest=True
-        ),
-        by_model(
-            "As table 2 of the paper (generation): E_b (mm) against the drawn bones / JPD (cm) against "
-            "the source, as there is no true motion. The model draws the scales of B, and baselines use "
-            "the same scales",
-            GENERATED,
-            _PUBLISHED[1:],
-            _values(_PUBLISHED[1:]),
-        ),
-    ]
-    seeded = {(_without_seed(one), one.split) for one in of_all if _without_seed(one) != one.method}
-    own = sorted(
-        (one for one in of_all if (_without_seed(one), one.split) in seeded), key=lambda one: order[one.method]
-    )
-    names, caption = lambda one: (in_words(_without_seed(one)),), "E_r (cm) over all seeds: mean (smallest to largest)"
-    tables.insert(1, pivot_table(own, caption, ("model",), names, splits, lambda one: one.split, _of_seeds))
-    return [table for table in tables if table.rows]
-
-
-def _values(metrics: Sequence[str]) -> Callable[[Sequence[Score]], str]:
-    """Return what writes the scores of a cell in the order of these metrics."""
-    return lambda found: " / ".join(
-        {one.metric: f"{one.value:.2f}" for one in found}.get(name, "-") for name in metrics
-    )
 
 
 TOPIC = Topic(

@@ -26,7 +26,7 @@ from pasdedeux.reconstruction.errors import (
     root_centred_error_m,
     root_removed_error_m,
 )
-from pasdedeux.reconstruction.reconstruct import Method, Searcher
+from pasdedeux.reconstruction.matching import Method, Searcher
 from pasdedeux.reconstruction.unseen_views import (
     BEST,
     CONDITIONS,

@@ -19,7 +19,7 @@ from pasdedeux.evaluation.pictures import PLAYER, Picture, compared_figure
 from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
-from pasdedeux.reconstruction.reconstruct import Method
+from pasdedeux.reconstruction.matching import Method
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, SourceCredit, Store
 from tasks import generation, ingest, reconstruction, training

@@ -66,8 +66,8 @@ FAULTS = (
     Fault("the quick estimate of a likelihood loses candidates", "pasdedeux/sampling/densities/interaction_kernels.py",
           "MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52", "MIN_RATIO, MIN_OWN_RATIO = 1.4, 1.4",
           "unit/test_sampling_likelihood.py::test_estimates_leave_the_same_best_as_comparing_all"),
-    Fault("what is expected of a lifted pair rests on its own draw", "tasks/lifting.py",
-          "without=drawn).mean_m", "without=()).mean_m", "contract/test_lifting_stage.py::"
+    Fault("what is expected of a lifted pair rests on its own draw", "tasks/lifted_rows.py",
+          "without=drawn)", "without=())", "contract/test_lifting_stage.py::"
           "test_draws_of_the_same_image_make_nobody_surer_however_many_agree"),
     Fault("draws that shall not count do", "pasdedeux/completion/retrieval.py",
           "np.isin(near.draw, without)", "np.isin(near.draw, [])",
@@ -255,7 +255,7 @@ FAULTS = (
           "unit/test_cameras.py::test_projection_agrees_with_opencv"),
     Fault("a camera that mirrors is let through", "pasdedeux/cameras/pinhole.py",
           " or np.linalg.det(rotmat) < 0", "", "unit/test_cameras.py::test_a_mirroring_camera_is_refused"),
-    Fault("2D tracks are read with y down", "pasdedeux/reconstruction/reconstruct.py",
+    Fault("2D tracks are read with y down", "pasdedeux/reconstruction/matching.py",
           "np.array(track.lens.principal_point_px)) * np.array([1.0, -1.0])",
           "np.array(track.lens.principal_point_px)) * np.array([1.0, 1.0])", "unit/test_projection_reconstruct.py::"
           "test_a_new_walk_is_reconstructed_near_the_truth_in_place_and_size"),

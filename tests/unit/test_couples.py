@@ -13,8 +13,8 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
+from pasdedeux.reconstruction.matching import Method, Searcher
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, reconstruct_people
-from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.tracks import Lens, Track
 from tests.builders.walkers import walk
 

@@ -16,7 +16,8 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from tasks.annotated_pairs import PairPlace
 from tasks.evaluation.ground_truth import GroundTruth
-from tasks.evaluation.lifting import calibration_scores, expected_figure, lifted_player, rows_figure
+from tasks.evaluation.lifting import calibration_scores
+from tasks.evaluation.lifting_pictures import expected_figure, lifted_player, rows_figure
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 

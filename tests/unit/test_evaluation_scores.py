@@ -29,15 +29,8 @@ from tasks.evaluation.coverage import (
     curve_points,
     real_frame_levels,
 )
-from tasks.evaluation.models import (
-    best_model,
-    fall_scores,
-    learning_curves,
-    model_figure,
-    model_scores,
-    model_tables,
-    share_scores,
-)
+from tasks.evaluation.model_tables import model_tables
+from tasks.evaluation.models import best_model, fall_scores, learning_curves, model_figure, model_scores, share_scores
 from tasks.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_items, reconstruction_scores
 from tasks.evaluation.views import view_errors
 from tests.builders.moving_pairs import swaying_pair

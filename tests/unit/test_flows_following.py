@@ -23,7 +23,7 @@ from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.live.chain import LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.skeletons import OP14, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import Store

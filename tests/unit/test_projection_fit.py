@@ -16,8 +16,9 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.reconstruction.depth import bone_vectors, decode_depths, place_depths
 from pasdedeux.reconstruction.errors import jitter_m, root_centred_error_m
+from pasdedeux.reconstruction.matching import Method, ReconstructionOptions, Searcher, match_track
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
-from pasdedeux.reconstruction.reconstruct import Method, ReconstructionOptions, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import random_poses, walk

@@ -16,8 +16,8 @@ from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
+from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
-from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.temporal import FixedLagViterbi, choose_viterbi
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import BODY22, OP14

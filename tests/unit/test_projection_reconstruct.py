@@ -27,15 +27,10 @@ from pasdedeux.reconstruction.errors import (
     scale_free_error_m,
 )
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor, with_laid
+from pasdedeux.reconstruction.matching import Method, ReconstructionOptions, Searcher, match_track
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset
-from pasdedeux.reconstruction.reconstruct import (
-    Method,
-    ReconstructionOptions,
-    Searcher,
-    match_track,
-    reconstruct_track,
-)
+from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track, tracks_of
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import random_poses, walk

@@ -17,7 +17,8 @@ from pasdedeux.projections.published import (
     scale_to_box,
 )
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
-from pasdedeux.reconstruction.reconstruct import Method, Searcher, reconstruct_track
+from pasdedeux.reconstruction.matching import Method, Searcher
+from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import walk

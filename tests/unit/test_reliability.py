@@ -15,10 +15,11 @@ from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
+from pasdedeux.reconstruction.matching import Method, Searcher, match_track
 from pasdedeux.reconstruction.otherwise import doubt_of_camera, may_lie, seen_otherwise
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
-from pasdedeux.reconstruction.reconstruct import Method, ReconstructedTrack, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack, reconstruct_track
 from pasdedeux.reconstruction.reliability import (
     Place,
     Reliability,

@@ -13,7 +13,8 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction import unseen_views
 from pasdedeux.reconstruction.errors import root_centred_error_m
-from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.matching import Method, Searcher, match_track
+from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.sizes import sized_by_height
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.reconstruction.unseen_views import (

@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.people.identity import MAX_ABSENT_S, Follower
 from pasdedeux.reconstruction.live.cleanup import LiveFloor
 from pasdedeux.reconstruction.live.person import PROPORTIONS_EVERY, LiveOptions, LivePerson, LivePose
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.reconstruction.tracks import Lens
 
 EVERYBODY_ELSE = -1

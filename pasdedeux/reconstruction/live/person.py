@@ -28,9 +28,9 @@ from pasdedeux.reconstruction.body_kernels import held_hips
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveFloor
 from pasdedeux.reconstruction.live.window_fit import MIN_NOISE_M, LiveFrame, WindowFit
+from pasdedeux.reconstruction.matching import MIN_JOINTS, Searcher
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
 from pasdedeux.reconstruction.rays import camera_turns, straighten_rays, turn_with_camera
-from pasdedeux.reconstruction.reconstruct import MIN_JOINTS, Searcher
 from pasdedeux.reconstruction.smoothing import OneEuro, OneEuroFilter
 from pasdedeux.reconstruction.temporal import FixedLagViterbi
 from pasdedeux.reconstruction.tracks import Lens

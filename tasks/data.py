@@ -25,6 +25,7 @@ from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_p
 from pasdedeux.evaluation.report import render
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.people.names import person_names
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store, TableData, iter_rows, open_table, parse_reference, resolve
@@ -177,7 +178,7 @@ class Pairs:
         panel = people_panel(self.name, self.skeleton, self.positions_m[at])
         labels = [f"#{self.rows[index]}" for index in at]
         player = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels, has_floor=False)
-        return Picture(f"{self.name}{PLAYER}", f"{self.name}: {len(at)} rows, one after another", player)
+        return Picture(f"{self.name}{PLAYER}", f"{self.name}: {counted(len(at), 'row')}, one after another", player)
 
     def _repr_html_(self) -> str:
         return _framed(self.picture)

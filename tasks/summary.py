@@ -9,6 +9,7 @@ from graphlib import TopologicalSorter
 
 from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import NamedVerdict, merge_verdicts, part_name
+from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
 from tasks.draw_sets import is_chain
@@ -94,17 +95,17 @@ def _skipped(manifest: Manifest, facts: Facts) -> list[str]:
     sentences = list(facts.skipped)
     match facts:
         case TakeFacts(num_persons=count) if "poses" in manifest.tables and count != 2:
-            who = "one person" if count == 1 else f"{count} people"
-            sentences.append(f"Take {facts.take_id}: {who}; the stages that need pairs skipped it.")
+            sentences.append(
+                f"Take {facts.take_id}: {counted(count, 'person')}; the stages that need pairs skipped it."
+            )
         case SequenceFacts(num_skipped_frames=count) if count:
             sentences.append(
                 f"{manifest.partition}: {count} unreadable frames were skipped ({', '.join(facts.skipped_files)}); "
                 "`on_unreadable` of its source says whether they stop the run."
             )
         case DrawFacts(num_annotations_skipped=count) | SeedFacts(num_annotations_skipped=count) if count:
-            sentences.append(
-                f"Chains: {count} annotations without all joints of two people, or without a view, were skipped."
-            )
+            skipped = counted(count, "annotation")
+            sentences.append(f"Chains skipped {skipped} without all joints of two people, or without a view.")
     return sentences
 
 

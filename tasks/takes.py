@@ -9,6 +9,7 @@ import numpy as np
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.objects import MovingObjects
+from pasdedeux.plain_text import counted
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import StageInputs
@@ -79,8 +80,8 @@ def read_variants(store: Store, ref: ArtifactRef, index: int | None = None) -> n
     motions = store.read(ref, "variants", columns=["body22_m"], rows=rows)["body22_m"]
     if not size or len(motions) % size:
         raise InputError(
-            f"the variants of take {facts.take_id} do not have {facts.num_frames} frames of {facts.num_persons} "
-            "people; build them again with --force"
+            f"the variants of take {facts.take_id} do not have {counted(facts.num_frames, 'frame')} of "
+            f"{counted(facts.num_persons, 'person')}; build them again with --force"
         )
     return np.asarray(motions.reshape(-1, facts.num_frames, facts.num_persons, *motions.shape[1:]))
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.cameras.views import DEPTH_RULES, ViewOptions, estimate_views
+from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import PairPlace, pairs_by_place, place_columns
@@ -158,7 +159,7 @@ def _read_pairs(store: Store, ref: ArtifactRef) -> _AnnotatedPartners:
 def _in_words(frames: Counter[str], reason: str) -> list[str]:
     """Say for each sequence how many frames were skipped; after twenty the rest together."""
     named = sorted(frames.items())
-    sentences = [f"{sequence}: {count} frames skipped, {reason}" for sequence, count in named[:_MAX_NAMED]]
+    sentences = [f"{sequence}: {counted(count, 'frame')} skipped, {reason}" for sequence, count in named[:_MAX_NAMED]]
     rest = named[_MAX_NAMED:]
     if rest:
         total = sum(count for _, count in rest)

@@ -21,6 +21,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.coco import write_coco
 from pasdedeux.formats.cvat import write_cvat
+from pasdedeux.plain_text import counted
 from tasks.ingest.film.detector_files import fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import Image
@@ -100,7 +101,7 @@ def annotate(
     rows = [_row(source, shot, frames) for (source, shot), frames in zip(made, wanted, strict=True)]
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
     for lost in {source.film.num_lost for source, _ in made if source.film.num_lost}:
-        echo(f"{film.name} states {lost} frames more than can be read", err=True)
+        echo(f"{film.name} states {counted(lost, 'frame')} more than can be read", err=True)
     cells: list[Image] = []
     for (source, shot), frames in zip(made, wanted, strict=True):
         cells += _cells(source, shot, frames, show_faces) if sheet is not None else ()

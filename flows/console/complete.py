@@ -66,7 +66,7 @@ def complete(
     for name, own, apart in zip("AB", is_known, np.moveaxis(spread, 1, 0), strict=True):
         if not own.all():
             far_cm = 100.0 * float(np.median(apart[:, ~own]))
-            echo(f"person {name}: {int((~own).sum())} joints completed, {far_cm:.1f} cm uncertain (median)")
+            echo(f"person {name}: {counted(int((~own).sum()), 'joint')} completed, {far_cm:.1f} cm uncertain (median)")
     near_m = completion.neighbours.distance_m
     echo(f"{len(near_m)} of {counted(len(known.pairs_m), 'draw')} within {100 * near_m.max():.1f} cm (D_I)")
     echo(f"written: {target}")

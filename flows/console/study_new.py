@@ -22,7 +22,7 @@ from pasdedeux.formats.registry import recognise_format
 from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, mend_of_mirror, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.people.video import why_no_video
-from pasdedeux.plain_text import visible
+from pasdedeux.plain_text import counted, visible
 from pasdedeux.skeletons.layouts import Draft, find_layout
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.poses2d.parameters import AnnotationOptions
@@ -288,7 +288,8 @@ def _said(person: _Person) -> str:
     """Describe a motion file."""
     rate_hz = person.taken.rate_hz or usual_rate_hz(person.path.name)
     lasts = "" if rate_hz is None else f" ({person.num_frames / rate_hz:.1f} s at {rate_hz:g} Hz)"
-    return f"{person.path.name}: {person.num_frames} frames{lasts}, about {person.taken.unit.height_m:.2f} m tall"
+    frames, height_m = counted(person.num_frames, "frame"), person.taken.unit.height_m
+    return f"{person.path.name}: {frames}{lasts}, about {height_m:.2f} m tall"
 
 
 def _length(people: Sequence[_Person]) -> list[str]:

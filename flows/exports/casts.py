@@ -21,6 +21,7 @@ from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times
+from pasdedeux.plain_text import counted
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.sources import resample_positions
@@ -171,8 +172,10 @@ class Cast:
     def in_words(self) -> str:
         """Say what someone who finds a file of it has to know."""
         count = len(self.positions_m)
-        apart = f"{count} frames, which do not follow each other in time"
-        words = apart if self.labels else f"{count} frames at {rate_in_words(self.rate_hz, self.source_rate_hz)}"
+        apart = f"{counted(count, 'frame')}, which do not follow each other in time"
+        words = (
+            apart if self.labels else f"{counted(count, 'frame')} at {rate_in_words(self.rate_hz, self.source_rate_hz)}"
+        )
         return "; ".join(filter(None, (words, f"axes: {self.axes}", self.said)))
 
 

@@ -15,6 +15,7 @@ from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, standing, with_
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.people.names import person_name
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Store
 
@@ -143,7 +144,7 @@ class RigFiles:
         motion = rig_of(own_skeleton, self._rest_pose).motion
         metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
         rate = rate_in_words(motion.rate_hz, person.source_rate_hz)
-        line = f"{motion.num_frames} frames at {rate}, one unit of the BVH is {metres:.9g} m"
+        line = f"{counted(motion.num_frames, 'frame')} at {rate}, one unit of the BVH is {metres:.9g} m"
         facts = {
             "rest_pose": self._rest_pose,
             "bvh_metres_per_unit": metres,

@@ -19,6 +19,7 @@ from pasdedeux.completion.retrieval import nearest_images
 from pasdedeux.evaluation.shown_figures import plain
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.people.names import person_name
+from pasdedeux.plain_text import counted
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import mid_hip
@@ -187,7 +188,7 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
 
     def say(frame: int) -> list[str]:
         seen_joints = np.isfinite(image_px[frame][:, COUNTED17]).all(axis=-1)
-        return [f"{int(seen_joints.sum())} joints seen", *seen_at(frame).film_words]
+        return [f"{counted(int(seen_joints.sum()), 'joint')} seen", *seen_at(frame).film_words]
 
     return Scene(
         image if truth is None else People(BODY22, truth),

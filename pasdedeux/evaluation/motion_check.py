@@ -21,6 +21,7 @@ from pasdedeux.formats.placement import floor_shift
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.people.names import person_name
+from pasdedeux.plain_text import counted
 from pasdedeux.plausibility.capture import FIGURES, PersonCapture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -120,7 +121,7 @@ class CheckedMotion:
             InputError: The two have different numbers of frames or people, or other rates.
         """
         made, its = (
-            f"{one.num_frames} frames of {one.num_people} people at {one.rate_hz:g} Hz"
+            f"{counted(one.num_frames, 'frame')} of {counted(one.num_people, 'person')} at {one.rate_hz:g} Hz"
             for one in (self.source, original.source)
         )
         if made != its:

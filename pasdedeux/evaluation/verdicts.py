@@ -14,6 +14,7 @@ from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.pictures import compared_figure
 from pasdedeux.evaluation.score_tables import format_interval, format_value, shown_as
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, weighted_mean
+from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level, Paired, Verdict
 
 FEWEST_BLOCKS = 10
@@ -153,7 +154,9 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
         if is_worse := is_behind or lead < 0.0:
             lead, low, high = -lead, -high, -low
         by, ends = format_interval(lead, low, high, unit)
-        over = f"{len(set(paired.takes))} takes" if _has_takes(paired) else f"{num_blocks} blocks of 1 s"
+        over = (
+            counted(len(set(paired.takes)), "take") if _has_takes(paired) else f"{counted(num_blocks, 'block')} of 1 s"
+        )
         how = {Level.PASS: "better than", Level.WARN: "about as well as", Level.FAIL: "worse than"}[level]
         lead_words = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
         reason = f"{method} performed {how} {beaten}, {lead_words} {by} ({ends}, over {over})"

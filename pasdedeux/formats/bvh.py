@@ -24,6 +24,7 @@ from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import Lines, compare_count, decode, parse_integer, parse_number, parse_numbers, shorten
 from pasdedeux.formats.yolo import YOLO
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import Skeleton
 
 MAX_JOINTS = 1000
@@ -299,7 +300,7 @@ def _pop_channels(words: list[str], joint: str) -> str:
     num_channels = parse_integer(words[0] if words else "", what, 0, len(_CHANNELS))
     listed = [word.capitalize() for word in words[1 : num_channels + 1]]
     if len(listed) != num_channels:
-        raise FormatError(f"{what} states {num_channels} channels but lists {len(listed)}")
+        raise FormatError(f"{what} states {counted(num_channels, 'channel')} but lists {len(listed)}")
     for channel in listed:
         if channel not in _CHANNELS or listed.count(channel) > 1:
             known = ", ".join(_CHANNELS)

@@ -19,6 +19,7 @@ from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.labelled_points import LabelledPoints
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_COUNT
+from pasdedeux.plain_text import counted
 
 _BLOCK = 512
 _MAGIC, _INTEL = 0x50, 84
@@ -130,7 +131,9 @@ def _read_points(data: bytes) -> LabelledPoints:
     if count == 0:
         raise FormatError("this C3D file holds analog data only: it has no points")
     if len(labels) < count:
-        raise FormatError(f"this is a damaged C3D file: it has {count} points, but {len(labels)} labels")
+        raise FormatError(
+            f"this is a damaged C3D file: it has {counted(count, 'point')}, but {counted(len(labels), 'label')}"
+        )
     rate_hz = float(parameters.get("POINT:RATE", np.array([rate_hz]))[0])
     scale = float(parameters.get("POINT:SCALE", np.array([scale]))[0])
     is_float = scale < 0

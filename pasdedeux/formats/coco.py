@@ -24,6 +24,7 @@ from pasdedeux.formats.detections import (
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 _ID_KEYS = ("track_id", "idx", "person_id", "instance_id")
@@ -248,7 +249,9 @@ def _keypoint_table(content: dict[str, Any], where: str) -> Array:
             raise FormatError(f"{where}: 'keypoints' are points, which need as many 'keypoint_scores'")
         numbers = [value for point, score in zip(numbers, scores, strict=True) for value in (*point[:2], score)]
     if len(numbers) % 3:
-        raise FormatError(f"{where} has {len(numbers)} values in 'keypoints', which are no triples x, y, confidence")
+        raise FormatError(
+            f"{where} has {counted(len(numbers), 'value')} in 'keypoints', which are no triples x, y, confidence"
+        )
     return parse_triples(numbers, f"{where}: 'keypoints'")
 
 

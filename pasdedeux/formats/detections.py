@@ -28,6 +28,7 @@ from pasdedeux.formats.annotated_frames import (
 )
 from pasdedeux.formats.image_names import Place
 from pasdedeux.formats.text import shorten
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import (
     KEYPOINT_LAYOUTS,
     LAYOUTS_OF_COUNT,
@@ -271,10 +272,13 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
     )
     if asked is None or not (known or is_fitting):
         names = ", ".join(f"{number} ({_either(some)})" for number, some in LAYOUTS_OF_COUNT.items())
-        raise FormatError(f"{detections[0].where} has {count} keypoints; known numbers of keypoints: {names}")
+        raise FormatError(
+            f"{detections[0].where} has {counted(count, 'keypoint')}; known numbers of keypoints: {names}"
+        )
     if not is_fitting:
         raise OtherLayoutError(
-            f"the layout '{asked.name}' is asked for, but the files have {count} keypoints: {_either(known, mark=True)}"
+            f"the layout '{asked.name}' is asked for, but the files have {counted(count, 'keypoint')}: "
+            f"{_either(known, mark=True)}"
         )
     missing = np.tile([np.nan, np.nan, 0.0], (len(table), max(0, asked.num_keypoints - count), 1))
     table = np.concatenate([table[:, : asked.num_keypoints], missing], axis=1)

@@ -18,6 +18,7 @@ from pasdedeux.formats.image_names import places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import find_delimiter, wide_encoding
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 LOOKED_AT_BYTES = 200_000
@@ -150,7 +151,7 @@ class MotionFormat(FileFormat):
             return self.read(data, companion)
         count = self.count_people(data)
         if number >= count:
-            held = "1 person" if count == 1 else f"{count} people"
+            held = counted(count, "person")
             raise FormatError(f"person {number}: it holds {held}; the take names it more often")
         return self.read_other(data, companion, number)
 

@@ -10,6 +10,7 @@ from pasdedeux.arrays import Array, Flags
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.npz import write_motion_npz
 from pasdedeux.kinematics import Motion
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.humanoid import END_SITES, HUMANOID
 
 UNITS_PER_METRE = {"cm": 100.0, "m": 1.0}
@@ -61,9 +62,9 @@ def units_text(human: HumanoidMotion, units: str) -> str:
         f"BVH files are in {_SPELT[units]} and degrees, npz files in metres and unit quaternions (x, y, z, w).\n"
         f"Axes: {AXES}; the floor is at y = 0, z points to the camera of the video.\n"
         "The rest pose is a standing T-pose, joints have Mixamo's names without their prefix.\n"
-        f"All files have the same {human.motion.num_frames} frames at {human.motion.rate_hz:.6g} Hz, from frame "
-        f"{human.first_frame} of the video on; `is_seen` of the npz tells in which a person was seen, in the others "
-        "the pose is interpolated or, before and after, held.\n"
+        f"All files have the same {counted(human.motion.num_frames, 'frame')} at {human.motion.rate_hz:.6g} Hz, from "
+        f"frame {human.first_frame} of the video on; `is_seen` of the npz tells in which a person was seen, in the "
+        "others the pose is interpolated or, before and after, held.\n"
         "`camera_...` of the npz and the camera of the GLB file are in the same axes; a camera looks along its own -z, "
         "x right, y up. Of film of a camera that moves they are those of its steady image, and `steady_from_image` "
         "(frame, 2, 3) takes pixels of each frame to it.\n"

@@ -9,6 +9,7 @@ from pasdedeux.formats.detections import Detection
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.image_names import number_in_name
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT
 
 MAX_PEOPLE = 1000
@@ -35,7 +36,7 @@ def read_people(data: bytes | str) -> list[Detection]:
             counts = ", ".join(
                 f"{3 * count} ({' or '.join(one.name for one in some)})" for count, some in LAYOUTS_OF_COUNT.items()
             )
-            raise FormatError(f"{where} has {len(numbers)} values in 'pose_keypoints_2d'; allowed: {counts}")
+            raise FormatError(f"{where} has {counted(len(numbers), 'value')} in 'pose_keypoints_2d'; allowed: {counts}")
         table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")
         detections.append(Detection(("", 0), _person_id(named, index), table, where))
     return detections

@@ -31,6 +31,7 @@ from pasdedeux.kinematics.rotations import (
     swing_between,
     unitquat_from_rotmat,
 )
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import Layout
@@ -178,7 +179,9 @@ class OwnSkeleton:
         """
         source, skeleton = self.motion, self.motion.skeleton
         if body22_m.shape != (source.num_frames, BODY22.num_joints, 3):
-            raise InputError(f"body22 has the shape {body22_m.shape}; the motion has {source.num_frames} frames")
+            raise InputError(
+                f"body22 has the shape {body22_m.shape}; the motion has {counted(source.num_frames, 'frame')}"
+            )
         offsets = self.scaled_offsets(bone_scale)
         body = BodyMap(self.body.weight, self.body.offset_m * bone_scale[:, None, None])
         old, old_world = forward_kinematics(skeleton, offsets, source.root_translation_m, source.local_unitquat)

@@ -250,7 +250,7 @@ def compare_count(stated: int, held: int) -> str:
     """
     if held < stated - max(_FEW_FRAMES, _FEW_SHARE * stated):
         raise FormatError(f"the file ends after {held} of {stated} frames: it was cut off")
-    return f"it states {stated} frames and holds {held}, which are read" if held != stated else ""
+    return f"it states {counted(stated, 'frame')} and holds {held}, which are read" if held != stated else ""
 
 
 def check_range(value: N, what: str, low: float, high: float) -> N:
@@ -263,7 +263,7 @@ def check_range(value: N, what: str, low: float, high: float) -> N:
 def parse_numbers(tokens: Sequence[str], what: str, count: int) -> list[float]:
     """Return so many finite numbers."""
     if len(tokens) != count:
-        raise FormatError(f"{what} needs {count} numbers, found {len(tokens)}")
+        raise FormatError(f"{what} needs {counted(count, 'number')}, found {len(tokens)}")
     return [parse_number(token, what) for token in tokens]
 
 

@@ -12,6 +12,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.detections import Detection
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import Lines, parse_number
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT, USUAL_LAYOUTS
 
 _BOX = 5
@@ -53,7 +54,9 @@ def _form(values: np.ndarray) -> tuple[int, int]:
     ]
     if not forms:
         counts = ", ".join(map(str, LAYOUTS_OF_COUNT))
-        raise FormatError(f"{len(values)} values: class, box and keypoints are needed; known numbers: {counts}")
+        raise FormatError(
+            f"{counted(len(values), 'value')}: class, box and keypoints are needed; known numbers: {counts}"
+        )
     *_, count, width = min(forms)
     return count, width
 

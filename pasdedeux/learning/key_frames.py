@@ -12,6 +12,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import Skeleton
 
 _FADE_S = 1.0
@@ -40,8 +41,8 @@ class KeyFrames:
         shape = self.positions_m.shape
         if len(shape) != 3 or shape[0] != len(self.frames) or shape[2] != 3:
             raise InputError(
-                f"key frames: {len(self.frames)} frames need poses of shape ({len(self.frames)}, joints, 3); "
-                f"found {shape}"
+                f"key frames: poses of {counted(len(self.frames), 'frame')} have the shape "
+                f"({len(self.frames)}, joints, 3); found {shape}"
             )
         if not np.isfinite(self.positions_m).all():
             raise InputError("key frames: a position is not finite")
@@ -56,7 +57,7 @@ class KeyFrames:
         if len(outside):
             raise InputError(
                 f"key frames: frame {outside[0]} is outside the motion of {name}, which has "
-                f"{num_frames} frames, 0 to {num_frames - 1}"
+                f"{counted(num_frames, 'frame')}, 0 to {num_frames - 1}"
             )
         if self.positions_m.shape[1] != skeleton.num_joints:
             raise InputError(

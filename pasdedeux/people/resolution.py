@@ -18,6 +18,7 @@ from pasdedeux.people.identity import follow_people, mean_of_two
 from pasdedeux.people.pairs import NearPeople, choose_pairs
 from pasdedeux.people.repair import repair_rows
 from pasdedeux.people.video import MAX_REPAIR_GAP_S, typical_gap_s, why_no_video, why_not_followed
+from pasdedeux.plain_text import counted
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
@@ -81,9 +82,10 @@ class SequencePeople:
 
     def in_words(self) -> str:
         """Say it in a line."""
-        words = [f"{self.num_people} {'person' if self.num_people == 1 else 'people'}"]
+        words = [counted(self.num_people, "person")]
         words += [
-            f"{pair.first} and {pair.second} are partners (near in {pair.num_near} frames)" for pair in self.pairs
+            f"{pair.first} and {pair.second} are partners (near in {counted(pair.num_near, 'frame')})"
+            for pair in self.pairs
         ]
         if self.why_not_followed:
             words.append(self.why_not_followed)

@@ -16,6 +16,7 @@ from pasdedeux.arrays import Array, Flags
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.people.names import person_name
+from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.tracks import Lens, Track
 
 MAX_RESIDUAL = 0.05
@@ -86,7 +87,7 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
     num_people, duration_s = truth_m.shape[1], (len(truth_m) - 1) / truth_hz
     longest = sorted(tracks, key=lambda track: -int((track.confidence > 0).sum()))[:_MAX_TRACKS]
     if len(longest) < num_people:
-        raise InputError(f"the film shows {len(longest)} people, the take has {num_people}")
+        raise InputError(f"the film shows {counted(len(longest), 'person')}, the take has {num_people}")
     times = np.unique(np.concatenate([one.times_s for one in longest]))
     film = _FilmPoints.of(
         longest, times[np.linspace(0, len(times) - 1, min(_NUM_TRIED_FRAMES, len(times))).astype(int)]

@@ -13,6 +13,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.learning.meter import GENERATED
 from pasdedeux.learning.model import VALIDATION_FALL as FALL
 from pasdedeux.learning.splits import SPLIT_NAMES
+from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import EXPI18
 
 LARGEST_SCALE = 1.25
@@ -31,7 +32,7 @@ def _without_seed(score: Score) -> str:
 def _of_seeds(seed_scores: Sequence[Score]) -> str:
     """Return mean, least and most of the figures of several seeds."""
     values = [one.value for one in seed_scores]
-    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f}, {len(values)} seeds)"
+    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f}, {counted(len(values), 'seed')})"
 
 
 def model_tables(scores: Sequence[Score]) -> list[TextTable]:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from pasdedeux.errors import InputError
+from pasdedeux.plain_text import counted
 from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
@@ -111,8 +112,8 @@ def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_a
     """
     if parameters.num_seeds and not takes:
         raise InputError(
-            f"seeds.num_seeds asks for {parameters.num_seeds} frames of takes, but there is no take of two people that "
-            "is not held out; seeds.num_lifted lifts seeds from 2D alone"
+            f"seeds.num_seeds asks for {counted(parameters.num_seeds, 'frame')} of takes, but there is no take of two "
+            "people that is not held out; seeds.num_lifted lifts seeds from 2D alone"
         )
     for frame in parameters.frames:
         if frame.take not in takes:

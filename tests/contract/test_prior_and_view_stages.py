@@ -173,7 +173,7 @@ def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path:
     assert verdict.level is Level.PASS
     assert 0.9 < verdict.value <= 1.0
     assert facts["skipped"] == [
-        "salon.view029: 1 frames skipped, fewer than 4 torso joints of one of the two people were seen"
+        "salon.view029: 1 frame skipped, fewer than 4 torso joints of one of the two people were seen"
     ]
     keys = list(zip(table["sequence_id"], table["frame"], table["hypothesis"], strict=True))
     assert keys == sorted(keys)
@@ -206,7 +206,7 @@ def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> 
     assert verdict is not None
     assert (verdict.level, verdict.reason) == (Level.PASS, "no annotated frame shows two people who are partners")
     skipped = store.manifest(ref).facts["skipped"]
-    assert skipped[0] == "solo.view000: 1 frames skipped, nobody has a partner"
+    assert skipped[0] == "solo.view000: 1 frame skipped, nobody has a partner"
     assert skipped[-1] == "10 more sequences: 10 frames skipped, nobody has a partner"
 
 

@@ -307,7 +307,7 @@ def test_a_pair_that_lacks_joints_is_completed_by_draws(tmp_path: Path, capsys: 
     options = ("--draws", f"seeds@{made.ref.key}", "--store", store.root)
     answer = call_in_process(capsys, "complete", tmp_path / "part.json", *options)
     assert answer.code == 0, answer.err
-    assert "person A: 1 joints completed" in answer.out
+    assert "person A: 1 joint completed" in answer.out
     assert "person B: 17 joints completed, 0.0 cm uncertain" in answer.out
     whole = read_pair_json((tmp_path / "part_completed.json").read_text())
     np.testing.assert_allclose(whole.pair_m, PAIR @ turn.T + 1.0, atol=0.01)

@@ -186,7 +186,7 @@ def test_a_file_cut_anywhere_is_refused_or_lacks_whole_frames_and_says_so() -> N
 
 
 @pytest.mark.parametrize(
-    ("stated", "note"), [(1, "states 1 frames and holds 3"), (0, "holds 3"), (13, "holds 3"), (3, "")]
+    ("stated", "note"), [(1, "states 1 frame and holds 3"), (0, "holds 3"), (13, "holds 3"), (3, "")]
 )
 def test_whole_rows_are_read_whatever_the_header_counts(stated: int, note: str) -> None:
     text = BVH_SMALL.replace("Frames: 3", f"Frames: {stated}")

@@ -89,7 +89,7 @@ def test_what_key_frames_add_fades_out_beyond_them() -> None:
         ([4], (1, 18, 3), "poses have 18 joints"),
         ([4, 4], (2, 22, 3), "frames must increase"),
         ([], (0, 22, 3), "frames must increase"),
-        ([4], (2, 22, 3), "1 frames need poses"),
+        ([4], (2, 22, 3), "poses of 1 frame have"),
     ],
 )
 def test_key_frames_that_are_not_of_the_motion_are_refused(

@@ -11,6 +11,7 @@ from pasdedeux.film.detectors.movenet import MOVENET
 from pasdedeux.film.detectors.rtmo import RTMO
 from pasdedeux.film.detectors.rtmpose import RTMPOSE
 from pasdedeux.film.detectors.yolox import YOLOX
+from pasdedeux.plain_text import counted
 
 __all__ = ["DETECTORS", "Detector", "DetectorKind", "load_detector"]
 
@@ -37,6 +38,8 @@ def load_detector(files: Sequence[bytes]) -> Detector:
         else:
             chosen.append((kind, network))
     if len(chosen) != 1:
-        raise InputError(f"{len(chosen)} networks of keypoints; one is needed, and perhaps one of boxes beside it")
+        raise InputError(
+            f"{counted(len(chosen), 'network')} of keypoints; one is needed, and perhaps one of boxes beside it"
+        )
     ((kind, network),) = chosen
     return kind.make(network, boxes)

@@ -222,8 +222,8 @@ def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, co
             things = read_objects(objects.data)
         if things.num_frames != num_frames:
             raise InputError(
-                f"{file_name} has {things.num_frames} frames, but {name} has {num_frames}; objects need all frames of "
-                "person A's file"
+                f"{file_name} has {counted(things.num_frames, 'frame')}, but {name} has {num_frames}; objects need all "
+                "frames of person A's file"
             )
     if contacts is not None:
         file_name = Path(contacts.file.path).name
@@ -257,7 +257,9 @@ def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: floa
         wanted = last - first if take.frames else person.num_frames - begin
         if begin >= person.num_frames or (take.frames and begin + wanted > person.num_frames + _ALMOST):
             stop = f" to {begin + wanted:.0f}" if take.frames else ""
-            raise InputError(f"frames from {begin:.0f}{stop} are wanted, but {name} has {person.num_frames} frames")
+            raise InputError(
+                f"frames from {begin:.0f}{stop} are wanted, but {name} has {counted(person.num_frames, 'frame')}"
+            )
         begins.append(begin)
         lengths.append(wanted)
     durations = [length / rate_hz for length, rate_hz in zip(lengths, rates, strict=True)]

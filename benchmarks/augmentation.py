@@ -35,12 +35,12 @@ def _bulk() -> BenchmarkResult:
     duet = make_duet("waltz", duration_s=_FRAMES / _RATE_HZ, rate_hz=_RATE_HZ)
     problem = build_problem(Source(duet.positions_m(), _RATE_HZ, "waltz"))
     solver = BulkSolver(problem)
-    scales, one = _scales(_VARIANTS), build_targets(problem, _scales(2))
+    scales, targets_of_two = _scales(_VARIANTS), build_targets(problem, _scales(2))
     settings = FitSettings(max_iterations=12, tolerance=1e-3)
     targets = build_targets(problem, scales)
-    found = solver.solve(targets).positions
-    ends = [descend(targets, at, fit_terms(problem, targets, at), found[at], POLISH).positions_m for at in _COMPARED]
-    off_mm = 1e3 * np.linalg.norm(np.stack(ends) - found[list(_COMPARED)], axis=-1)
+    solved = solver.solve(targets).positions
+    ends = [descend(targets, at, fit_terms(problem, targets, at), solved[at], POLISH).positions_m for at in _COMPARED]
+    off_mm = 1e3 * np.linalg.norm(np.stack(ends) - solved[list(_COMPARED)], axis=-1)
     return BenchmarkResult(
         "augmentation: batch of variants",
         "frames of a variant",
@@ -51,7 +51,7 @@ def _bulk() -> BenchmarkResult:
         ),
         *measure(
             "guaranteed descent, one at a time",
-            lambda: descend(one, 0, fit_terms(problem, one, 0), settings=settings),
+            lambda: descend(targets_of_two, 0, fit_terms(problem, targets_of_two, 0), settings=settings),
             count=_FRAMES,
             repeats=1,
         ),

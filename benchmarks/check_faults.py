@@ -245,19 +245,19 @@ def _measured(
         for first in (first for first, *_ in KINDS.values() if first in figures):
             value = getattr(one, first)
             values[first] = np.fmax(values.get(first, np.nan), np.nan if value is None else value)
-        own = {name: both for name, both in limits.items() if name in figures}
-        past |= {figure.name for figure, _, _ in complaints(one, figures, own)}
+        own_limits = {name: both for name, both in limits.items() if name in figures}
+        past |= {figure.name for figure, _, _ in complaints(one, figures, own_limits)}
     return Measured(family, values, frozenset(past))
 
 
 def measure_all(clip: Clip, *, with_drift: bool) -> dict[str, tuple[Measured, Measured]]:
     """Measure a clip untouched and with each kind of fault, drawn by the number of the clip and the kind."""
-    untouched, found = measure(clip), {}
+    untouched, changed = measure(clip), {}
     for at, (kind, plant) in enumerate(FAULTS.items()):
         planted = plant(clip.people_m, clip.rate_hz, np.random.default_rng([SEED, clip.number, at]))
-        found[kind] = untouched, measure(replace(clip, people_m=planted))
+        changed[kind] = untouched, measure(replace(clip, people_m=planted))
     both = measure_drift(clip, np.random.default_rng([SEED, clip.number])) if with_drift else None
-    return found | ({"contact drift": both} if both is not None else {})
+    return changed | ({"contact drift": both} if both is not None else {})
 
 
 def measure_drift(clip: Clip, generator: np.random.Generator) -> tuple[Measured, Measured] | None:
@@ -304,16 +304,16 @@ def main() -> None:
     given = parser.parse_args()
     half = given.clips // 2
     step = max(1, given.clips // max(given.drift, 1))
-    found: dict[str, list[tuple[Measured, Measured]]] = {kind: [] for kind in KINDS}
+    by_kind: dict[str, list[tuple[Measured, Measured]]] = {kind: [] for kind in KINDS}
     with ProcessPoolExecutor(given.workers, get_context("forkserver")) as pool:
         clips = list(chain(duet_clips(half), salsa_clips(given.data, half)))
         faulty = list(pool.map(measure, [one for one in clips if one.is_faulty]))
         good = [(at, one) for at, one in enumerate(clips) if not one.is_faulty]
         for job in [pool.submit(measure_all, one, with_drift=given.drift > 0 == at % step) for at, one in good]:
             for kind, both in job.result().items():
-                found[kind].append(both)
-    rows = [row(kind, *zip(*both, strict=True)) for kind, both in found.items() if both]
-    untouched, drifting = ([one for one, _ in found[kind]] for kind in ("floor offset", "contact drift"))
+                by_kind[kind].append(both)
+    rows = [row(kind, *zip(*both, strict=True)) for kind, both in by_kind.items() if both]
+    untouched, drifting = ([one for one, _ in by_kind[kind]] for kind in ("floor offset", "contact drift"))
     heads = ("kind", "clips", "limit chosen", "found", "accused", "found, declared", "accused", "found, all", "accused")
     say(format_table((*heads, "declared"), rows, text_columns=(0, 2)))
     for what, some in (("untouched captures", untouched), ("untouched variants", drifting), ("faulty clips", faulty)):

@@ -144,8 +144,10 @@ class Takes:
 
     def without(self, family: str) -> SearchedDatabase:
         """Return the database of the takes of all other families."""
-        own = set(FAMILIES[family])
-        refs = [ref for ref in self._parts if not own & set(ProjectionFacts.of(self._store.manifest(ref)).takes)]
+        takes_of_family = set(FAMILIES[family])
+        refs = [
+            ref for ref in self._parts if not takes_of_family & set(ProjectionFacts.of(self._store.manifest(ref)).takes)
+        ]
         database = replace(read_searched(self._store, refs), pairs_m=read_pairs(self._store, refs))
         return replace(database, ready=tuple(database.searcher(pitch) for pitch in database.pitches_rad))
 
@@ -331,12 +333,12 @@ def say_expected(rows: Sequence[Row]) -> None:
         ("each family by the others", [[families != name for name in names]]),
         ("half of the families by the other half, and swapped, all ways", [[half, ~half] for half in halves]),
     ):
-        found = np.array([[*outside(evidence, true, families, chosen)] for chosen in divisions])
-        holds = np.mean((found[:, 1] <= true) & (true <= found[:, 2]), axis=0)
+        predicted = np.array([[*outside(evidence, true, families, chosen)] for chosen in divisions])
+        holds = np.mean((predicted[:, 1] <= true) & (true <= predicted[:, 2]), axis=0)
         shares = ", ".join(f"{name} {holds[families == name].mean():.0%}" for name in names)
-        score = np.mean([interval_score(true, low, high) for _, low, high in found])
+        score = np.mean([interval_score(true, low, high) for _, low, high in predicted])
         constant = np.mean([interval_score(true, *constants(true, chosen)) for chosen in divisions])
-        told = np.mean([auc(one, large) for one, _, _ in found])
+        told = np.mean([auc(one, large) for one, _, _ in predicted])
         say(f"{words}: AUC {told:.2f}, interval holds in {holds.mean():.0%}")
         say(f"  ({shares}), interval score {100 * score:.1f} (a constant one {100 * constant:.1f})")
     weights = np.round(fitted(evidence, true), 3).tolist()
@@ -404,10 +406,10 @@ def interval_score(true: Array, low: Array, high: Array) -> float:
 
 def constants(true: Array, chosen: Sequence[Any]) -> Array:
     """Return the ends (2, row) of one interval for all rows of the families that are not chosen."""
-    found = np.full((2, len(true)), np.nan)
+    fits = np.full((2, len(true)), np.nan)
     for fit in chosen:
-        found[:, ~fit] = np.quantile(true[fit], INTERVAL)[:, None]
-    return found
+        fits[:, ~fit] = np.quantile(true[fit], INTERVAL)[:, None]
+    return fits
 
 
 say: Callable[[str], None] = lambda text: print(text, flush=True)  # noqa: E731, T201

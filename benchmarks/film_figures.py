@@ -130,8 +130,8 @@ def whole(data: Path, folder: Path) -> dict[str, dict[str, float]]:
         distances: dict[str, list[float]] = {}
         for sequence, frame, method, pair in zip(*(rows[one] for one in _LIFTED), strict=True):
             take_id = str(sequence).partition(".")[0]
-            own, true = pair.reshape(-1, 3).astype(np.float64), truth[take_id][frame].reshape(-1, 3)
-            error = float(np.linalg.norm(align_rigid(own, true).apply(own) - true, axis=-1).mean())
+            points, true = pair.reshape(-1, 3).astype(np.float64), truth[take_id][frame].reshape(-1, 3)
+            error = float(np.linalg.norm(align_rigid(points, true).apply(points) - true, axis=-1).mean())
             for key in (f"{take_id} {method}", f"all {method}"):
                 distances.setdefault(key, []).append(error)
         errors[name] = {key: float(np.mean(one)) for key, one in distances.items()}
@@ -153,16 +153,18 @@ def main() -> None:
     parts = options.part or _PARTS
     cv2.setNumThreads(1)
     for part, size, takes in (("tracking", (640, 480), SALSA_TAKES), ("large", (1920, 1080), ("03", "12"))):
-        found = []
+        results = []
         for index, take in enumerate(takes if part in parts else ()):
             bodies = salsa_bodies(options.data, take, slice(150, 226 if part == "tracking" else 196))
             film = render(bodies, size=size, yaw_rad=2.4 * index, seed=index)
             for hidden in (0.5, 0.0):
-                found.append((hidden, tracked(film, hidden)))
-                words = ", ".join(f"{name} {value:.3g}" for name, value in found[-1][1].items())
+                results.append((hidden, tracked(film, hidden)))
+                words = ", ".join(f"{name} {value:.3g}" for name, value in results[-1][1].items())
                 say(f"{size[0]} x {size[1]}, salsa {take}, hidden {'labelled' if hidden else 'left out'}: {words}")
-        for hidden in sorted({one for one, _ in found}):
-            mean = {name: np.mean([figures[name] for one, figures in found if one == hidden]) for name in found[0][1]}
+        for hidden in sorted({one for one, _ in results}):
+            mean = {
+                name: np.mean([figures[name] for one, figures in results if one == hidden]) for name in results[0][1]
+            }
             say(f"mean, {hidden}: " + ", ".join(f"{name} {value:.3g}" for name, value in mean.items()))
     if "whole" in parts:
         with TemporaryDirectory() as folder:

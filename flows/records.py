@@ -74,7 +74,7 @@ def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ())
         return store.find(stage, record.key)
 
     return {
-        stage: [found for record in records if (found := look(stage, record)) is not None]
+        stage: [there for record in records if (there := look(stage, record)) is not None]
         for stage, records in last.stages.items()
     }
 

@@ -119,9 +119,9 @@ def complete_limits(figures: Mapping[str, Figure], given: Limits) -> dict[str, t
 def complaints(measured: Any, figures: Mapping[str, Figure], limits: Limits) -> Iterator[tuple[Figure, Level, str]]:
     """Yield each figure of what was measured that is past a limit, how bad that is, and a sentence on it."""
     for name, both in limits.items():
-        one, value = figures[name], getattr(measured, name)
-        if count := int(one.num_past(value, both)):
-            unit, factor = _SHOWN.get(one.unit, ("", 1.0))
-            side = "below" if one.better == "larger" else "above"
-            plain = f"{one.words} {factor * value:.3g}{unit} is {side} {factor * both[count - 1]:.3g}{unit}"
-            yield one, LEVELS[count], one.complaint.format(**vars(measured)) or plain
+        declared, value = figures[name], getattr(measured, name)
+        if count := int(declared.num_past(value, both)):
+            unit, factor = _SHOWN.get(declared.unit, ("", 1.0))
+            side = "below" if declared.better == "larger" else "above"
+            plain = f"{declared.words} {factor * value:.3g}{unit} is {side} {factor * both[count - 1]:.3g}{unit}"
+            yield declared, LEVELS[count], declared.complaint.format(**vars(measured)) or plain

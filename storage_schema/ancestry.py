@@ -78,12 +78,12 @@ def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str,
 
     `known` are the places of those that are known to be; what is found is added.
     """
-    found = set[tuple[str, str]]()
+    ancestors = set[tuple[str, str]]()
     for step in walk_stored(store, refs, known):
         if step.manifest is None:
             return False
-        found.add(step.ref.place)
-    known |= found
+        ancestors.add(step.ref.place)
+    known |= ancestors
     return True
 
 

@@ -85,11 +85,11 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
         refs = _of_study(reference, store)
         name = f"study '{reference.study}'" + (f", partition '{reference.partition}'" if reference.partition else "")
     manifests = [store.manifest(ref) for ref in refs]
-    found = [manifest.ref for manifest in manifests if reference.table in manifest.tables]
-    if not found:
+    with_table = [manifest.ref for manifest in manifests if reference.table in manifest.tables]
+    if not with_table:
         there = sorted({table for manifest in manifests for table in manifest.tables})
         raise UnknownReference(f"{name} holds no table '{reference.table}'; it holds: {', '.join(there) or 'none'}")
-    return found
+    return with_table
 
 
 def referenced_credits(store: Store, reference: Reference, refs: Sequence[ArtifactRef]) -> tuple[SourceCredit, ...]:

@@ -155,14 +155,14 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdic
     for one, facts in parts:
         rows = one.tables[thing.table].rows
         if isinstance(facts, LiftedFacts):
-            own = facts.num_lifted
+            amount = facts.num_lifted
         else:  # a model counts as one, also where it has no arrays
-            own = int(rows > 0 or isinstance(facts, ModelFacts)) if thing.is_artifact else rows
-        count += own
+            amount = int(rows > 0 or isinstance(facts, ModelFacts)) if thing.is_artifact else rows
+        count += amount
         # Of annotations the rows are people and frames, of single frames there are no seconds.
         is_video = not isinstance(facts, SequenceFacts) or facts.purpose == "video"
         if isinstance(facts, PeopleFacts) and facts.rate_hz and is_video:
-            times = own if thing.table == "variant_quality" else 1
+            times = amount if thing.table == "variant_quality" else 1
             length = times * facts.num_frames / facts.rate_hz
             seconds = length if math.isnan(seconds) else seconds + length
     independent = _independent(thing, [facts for _, facts in parts], chains)

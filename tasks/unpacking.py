@@ -106,11 +106,11 @@ def _write_contacts(writer: ClipWriter, person: Array, bone: Array, frame: Array
         The row of `first_contacts` of the first frame.
     """
     order = np.argsort(person, axis=1)
-    person, bone = (np.take_along_axis(one, order, axis=1) for one in (person, bone))
+    person, bone = (np.take_along_axis(giver, order, axis=1) for giver in (person, bone))
     is_between = (person[:, 0] >= 0) & (person[:, 0] < person[:, 1])
     rows = np.zeros(int(is_between.sum()), CONTACT)
-    (one, other), (a, b) = person[is_between].T, bone[is_between].T
-    rows["frame"], rows["pair"], rows["bones"] = frame[is_between], other * (other - 1) // 2 + one, a * J + b
+    (giver, other), (a, b) = person[is_between].T, bone[is_between].T
+    rows["frame"], rows["pair"], rows["bones"] = frame[is_between], other * (other - 1) // 2 + giver, a * J + b
     rows["weight"] = weight[is_between]
     rows.sort(order=["frame", "pair", "bones", "weight"])
     places = rows[["frame", "pair", "bones"]]

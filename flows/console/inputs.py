@@ -93,8 +93,8 @@ def _take_of_files(
     }
     section = IngestParameters.model_validate({"takes": [take]})
     try:
-        with _read_section(section) as found:
-            yield found
+        with _read_section(section) as take_files:
+            yield take_files
     except InputError as error:
         said = in_options(str(error))
         if re.search(r"; set \w+|\[ingest\.mappings\]|persons", said):

@@ -43,11 +43,11 @@ class Figures:
         total, squares, least, greatest = self.sums
         mean = total / self.count
         deviation = np.sqrt(np.maximum(squares / self.count - mean**2, 0.0))
-        found = {"mean": mean, "std": deviation, "min": least, "max": greatest}
-        found |= dict(
+        as_json = {"mean": mean, "std": deviation, "min": least, "max": greatest}
+        as_json |= dict(
             zip(QUANTILES, np.quantile(np.concatenate(self.kept), [*QUANTILES.values()], axis=0), strict=True)
         )
-        return {"count": self.count} | {name: np.round(values, 6).tolist() for name, values in found.items()}
+        return {"count": self.count} | {name: np.round(values, 6).tolist() for name, values in as_json.items()}
 
 
 def figures_of_motions(clips: Iterable[tuple[Numbers, float]], num_rows: int) -> dict[str, Any]:
@@ -58,13 +58,13 @@ def figures_of_motions(clips: Iterable[tuple[Numbers, float]], num_rows: int) ->
         num_rows: Frames times people of all.
     """
     step = max(1, -(-num_rows // _MOST_ROWS))
-    found = {name: Figures(step) for name in ("body22_m", "body22_velocity_m_s", "bone_length_m")}
+    by_name = {name: Figures(step) for name in ("body22_m", "body22_velocity_m_s", "bone_length_m")}
     for positions, rate_hz in clips:
-        found["body22_m"].add(positions.reshape(-1, BODY22.num_joints, 3))
+        by_name["body22_m"].add(positions.reshape(-1, BODY22.num_joints, 3))
         velocity = np.diff(positions, axis=0) * rate_hz
-        found["body22_velocity_m_s"].add(velocity.reshape(-1, BODY22.num_joints, 3))
-        found["bone_length_m"].add(bone_lengths(BODY22, positions).reshape(-1, BODY22.num_joints))
-    return {name: figures.to_json() for name, figures in found.items()}
+        by_name["body22_velocity_m_s"].add(velocity.reshape(-1, BODY22.num_joints, 3))
+        by_name["bone_length_m"].add(bone_lengths(BODY22, positions).reshape(-1, BODY22.num_joints))
+    return {name: figures.to_json() for name, figures in by_name.items()}
 
 
 def contact_figures(held: Mapping[str, Numbers], num_frames: Mapping[str, int]) -> dict[str, Any]:

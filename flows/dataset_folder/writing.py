@@ -302,10 +302,14 @@ def _found_in(
 ) -> tuple[Source, ContactRows, Any]:
     """Return a take, its contacts, and these as rows; batches of variants of one take follow each other."""
     facts, source = TakeFacts.of(store.manifest(take)), read_take(store, take).source
-    found = ContactRows.of(source, stated)
-    count = len(found.frame)
-    rows = {"origin": [origin] * count, "take_id": [facts.take_id] * count, "time_s": found.frame / facts.rate_hz}
-    return source, found, encode(TABLES["contacts"], rows | found.columns())
+    contact_rows = ContactRows.of(source, stated)
+    count = len(contact_rows.frame)
+    rows = {
+        "origin": [origin] * count,
+        "take_id": [facts.take_id] * count,
+        "time_s": contact_rows.frame / facts.rate_hz,
+    }
+    return source, contact_rows, encode(TABLES["contacts"], rows | contact_rows.columns())
 
 
 def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, FolderFile]:

@@ -212,10 +212,10 @@ class Editor:
         else:
             viewer = self.viewer
             ref, row = viewer.item.row(viewer.moment.row)
-            found = pair_in_store(viewer.shelf.store, viewer.part.table, ref, row)
+            edited = pair_in_store(viewer.shelf.store, viewer.part.table, ref, row)
             is_changed = viewer.pose is not None
-            said = f"{found.made_from}{', joints moved by hand' if is_changed else ''}"
-            pair = replace(found, pair_m=self.pose if is_changed else found.pair_m, made_from=said)
+            said = f"{edited.made_from}{', joints moved by hand' if is_changed else ''}"
+            pair = replace(edited, pair_m=self.pose if is_changed else edited.pair_m, made_from=said)
             path = self._write(f"{viewer.part.table}-{ref.key[:12]}-{row}", ".json", write_pair_json(pair))
         return path
 

@@ -133,10 +133,10 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
 
 def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) -> list[Flat]:
     """Return the poses of the database that each person of a reconstruction (frame, person, 14, 3) looks most like."""
-    found = _database(store, ref)
-    if found is None:
+    searched = _database(store, ref)
+    if searched is None:
         return []
-    database, index, takes, frames = found
+    database, index, takes, frames = searched
     flats = []
     for person, pose in enumerate(op14_m[frame]):
         image = (pose - mid_hip(pose))[:, :2]

@@ -27,16 +27,16 @@ class Scales:
         self._folder = panel.gui.add_folder("Scales", visible=False)
         self.sliders: list[Any] = []
 
-    def offer(self, scales: Mapping[int, Any], own: int) -> None:
+    def offer(self, scales: Mapping[int, Any], own_scale: int) -> None:
         """Set the sliders to the scales of the item that is shown, or hide them where it has none.
 
         Args:
             scales: Scales of the bones of those items that have some, by their numbers.
-            own: Number of the item.
+            own_scale: Number of the item.
         """
         known = {at: np.reshape(scale, (-1, BODY22.num_joints)) for at, scale in scales.items()}
-        axes = scale_axes(np.array(list(known.values()), dtype=np.float64)) if own in known else {}
-        self._items, self._scales, self._own = list(known), np.array(list(axes.values())).T, own
+        axes = scale_axes(np.array(list(known.values()), dtype=np.float64)) if own_scale in known else {}
+        self._items, self._scales, self._own = list(known), np.array(list(axes.values())).T, own_scale
         self._folder.visible = bool(axes)
         for axis in range(len(self.sliders), len(axes)):
             with self._folder:
@@ -47,7 +47,7 @@ class Scales:
         for slider, (label, values) in zip(self.sliders, axes.items(), strict=False):
             slider.visible, slider.label = True, label
             slider.max, slider.min = float(values.max()), float(values.min())
-            slider.value = float(values[self._items.index(own)])
+            slider.value = float(values[self._items.index(own_scale)])
 
     def move(self, axis: int, value: float) -> None:
         """Show the variant nearest to the scales of the sliders, of which one was moved."""

@@ -146,10 +146,10 @@ def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
 @lru_cache(maxsize=4)
 def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[int, Array]]:
     """Return the people of each frame of each sequence, by their numbers."""
-    found: dict[tuple[str, int], dict[int, Array]] = {}
+    seen_people: dict[tuple[str, int], dict[int, Array]] = {}
     for place, people in read_people(store, [ref], is_between=True, with_held_out=True).items():
-        found.setdefault((place.sequence_id, place.frame), {}).update(people)
-    return found
+        seen_people.setdefault((place.sequence_id, place.frame), {}).update(people)
+    return seen_people
 
 
 @lru_cache(maxsize=16)

@@ -260,8 +260,8 @@ class QualityMeter:
         """
         frames, worst = np.zeros(self._num_frames), []
         for joint, when in self._stances:
-            source, own = self._points[when, joint][:, [0, 2]], points[when, joint][:, [0, 2]]
-            moved, travel = (_from_median(places) for places in (own - source, source))
+            source, variant = self._points[when, joint][:, [0, 2]], points[when, joint][:, [0, 2]]
+            moved, travel = (_from_median(places) for places in (variant - source, source))
             away = np.maximum(moved - rescaled[joint // BODY22.num_joints] * travel.max(), 0.0)
             frames[when] = np.maximum(frames[when], away)
             worst.append(float(away.max()))

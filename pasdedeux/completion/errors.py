@@ -58,7 +58,7 @@ def completion_errors(
     baselines.
     """
     mean = np.asarray(draws_m.mean(axis=0), dtype=np.float64)
-    found: dict[str, dict[str, Array]] = {}
+    by_part: dict[str, dict[str, Array]] = {}
     for part, choices in HIDDEN.items():
         errors: dict[str, list[float]] = {}
         for truth in truth_m:
@@ -81,8 +81,8 @@ def completion_errors(
             ):
                 error = np.linalg.norm(pair[person, joints] - truth[person, joints], axis=-1).mean()
                 errors.setdefault(method, []).append(float(error))
-        found[part] = {method: np.array(values) for method, values in errors.items()}
-    return found
+        by_part[part] = {method: np.array(values) for method, values in errors.items()}
+    return by_part
 
 
 def in_between_errors(spans_m: Sequence[Array], draws_m: npt.NDArray[np.floating]) -> dict[str, list[Array]]:

@@ -98,9 +98,9 @@ def in_depth_order(pair_m: Array, other_m: Array) -> Array:
 
 def _known_lengths(pair_m: Array, pairs_m: Array) -> Array:
     """Return bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others."""
-    own = bone_lengths(PAIR17, np.asarray(pair_m, dtype=np.float64))
-    other = own[:, list(PAIR17.mirror)]
+    pair_lengths = bone_lengths(PAIR17, np.asarray(pair_m, dtype=np.float64))
+    other = pair_lengths[:, list(PAIR17.mirror)]
     usual = np.median(bone_lengths(PAIR17, pairs_m), axis=0)
-    lengths = np.where(np.isfinite(own), own, np.where(np.isfinite(other), other, usual))
+    lengths = np.where(np.isfinite(pair_lengths), pair_lengths, np.where(np.isfinite(other), other, usual))
     lengths[:, PAIR17.root] = 0.0
     return np.asarray(lengths)

@@ -64,22 +64,22 @@ class Items:
         Items count that all of them have; bounds, which know the ground truth, are no baselines.  None where no method
         was scored.
         """
-        own = {name: found for name, found in self.values.items() if not is_bound(name) and np.isfinite(found).any()}
+        finite = {name: found for name, found in self.values.items() if not is_bound(name) and np.isfinite(found).any()}
         sign = -1.0 if is_larger_better else 1.0
-        found = [name for name in methods if name in own] or sorted(
-            (name for name in own if name not in baselines and not methods),
-            key=lambda name: (sign * float(np.nanmean(own[name])), name),
+        found = [name for name in methods if name in finite] or sorted(
+            (name for name in finite if name not in baselines and not methods),
+            key=lambda name: (sign * float(np.nanmean(finite[name])), name),
         )
         if not found:
             return None
-        beside = sorted(name for name in own if name in baselines and name != found[0])
+        beside = sorted(name for name in finite if name in baselines and name != found[0])
         names = [found[0], *beside]
-        kept = np.isfinite([own[name] for name in names]).all(axis=0)
+        kept = np.isfinite([finite[name] for name in names]).all(axis=0)
         takes, take = np.unique(np.asarray(self.takes), return_inverse=True)
         seconds = np.floor(np.asarray(self.times_s, dtype=np.float64)).astype(np.int64)
         known, row = np.unique(np.stack([take, seconds], axis=1)[kept], axis=0, return_inverse=True)
         row = row.ravel()
-        sums = {name: tuple(np.bincount(row, own[name][kept], len(known)).tolist()) for name in names}
+        sums = {name: tuple(np.bincount(row, finite[name][kept], len(known)).tolist()) for name in names}
         return Paired(
             method=found[0],
             baselines=tuple(beside),

@@ -291,9 +291,9 @@ def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:
             raise FormatError(f"{item.where}: 'image_id' or 'frame_id' must be {allowed}")
     ids = {item.image for item in items}
     if all(isinstance(image, int) for image in ids):
-        found = {image: _place_of_number(image) or ("", 0) for image in ids}
-        is_alone = len({video for video, _ in found.values()}) == 1
-        return {image: ("" if is_alone else video, frame) for image, (video, frame) in found.items()}
+        by_image = {image: _place_of_number(image) or ("", 0) for image in ids}
+        is_alone = len({video for video, _ in by_image.values()}) == 1
+        return {image: ("" if is_alone else video, frame) for image, (video, frame) in by_image.items()}
     places = places_of_names(str(image) for image in ids)
     return {image: places[str(image)] for image in ids}
 

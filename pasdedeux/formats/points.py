@@ -345,15 +345,15 @@ def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:
 
 def _columns_by_landmark(header: Sequence[str]) -> dict[str, dict[str, tuple[str, str, str | None]]]:
     """Return the columns of x, y and visibility of each landmark of each person, where a row is a frame."""
-    found: dict[str, dict[str, dict[str, str]]] = {}
+    by_person: dict[str, dict[str, dict[str, str]]] = {}
     for column in header:
         if match := _COLUMN.fullmatch(column):
             name = match["index"] or match["name"] or match["of_name"]
             axis = match["axis"] or match["of"] or match["by"]
-            axes = found.setdefault(match["who"] or "", {}).setdefault(name.lstrip("0") or "0", {})
+            axes = by_person.setdefault(match["who"] or "", {}).setdefault(name.lstrip("0") or "0", {})
             axes[axis if axis in ("x", "y", "z") else "v"] = column
     people = {}
-    for who, names in found.items():
+    for who, names in by_person.items():
         both = {name: axes for name, axes in names.items() if {"x", "y"} <= axes.keys()}
         points = {name: (axes["x"], axes["y"], axes.get("v")) for name, axes in both.items()}
         numbered = {int(name): columns for name, columns in points.items() if name.isdigit()}

@@ -227,12 +227,12 @@ def _is_parameter(name: str) -> bool:
 
 def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
     """Return the arrays of one person under the names of `_ALIASES`; the rate is everybody's."""
-    found: dict[str, Any] = {}
+    by_name: dict[str, Any] = {}
     for name, values in arrays.items():
         who, bare = _base(name)
         if who == person or _CALLED[bare] == _RATE:
-            found[_CALLED[bare]] = values
-    return found
+            by_name[_CALLED[bare]] = values
+    return by_name
 
 
 def _count_people(data: bytes) -> int:

@@ -108,15 +108,15 @@ def _checked(names: tuple[str, ...], ends_m: Array, radii_m: Array) -> MovingObj
         raise FormatError("every capsule needs a name of its own")
     is_bad = ~(np.abs(ends_m) < _LARGEST_M).all(axis=(2, 3))
     if is_bad.any():
-        frame, one = np.argwhere(is_bad)[0]
+        frame, index = np.argwhere(is_bad)[0]
         raise FormatError(
-            f"frame {frame}: '{names[one]}' is not finite or further than {_LARGEST_M:g} m from the origin; "
+            f"frame {frame}: '{names[index]}' is not finite or further than {_LARGEST_M:g} m from the origin; "
             "are these metres?"
         )
     is_size = (radii_m >= 0) & (radii_m < _LARGEST_M)
     if not is_size.all():
-        one = int(np.argmin(is_size))
-        raise FormatError(f"the radius of '{names[one]}' is {radii_m[one]:g}; allowed are 0 to {_LARGEST_M:g} m")
+        index = int(np.argmin(is_size))
+        raise FormatError(f"the radius of '{names[index]}' is {radii_m[index]:g}; allowed are 0 to {_LARGEST_M:g} m")
     if FLOOR in names:
         raise FormatError(f"no capsule may be called {FLOOR}: that is what contacts call the floor")
     return MovingObjects(names, ends_m, radii_m)

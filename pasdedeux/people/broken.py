@@ -77,12 +77,12 @@ def find_breaks(
     ends: dict[int, tuple[_TrackEnd, _TrackEnd]] = {}
     spans: dict[int, tuple[int, int]] = {}
     for person in np.unique(person_id[rows]).tolist():
-        own, listed = rows[person_id[rows] == person], frame[person_id == person]
+        own_rows, listed = rows[person_id[rows] == person], frame[person_id == person]
         spans[person] = int(listed.min()), int(listed.max())
-        points = np.where(is_seen[own, :, None], keypoints_px[own], np.nan)
-        parts = [abs(frame[own] - frame[own[at]]) <= _END_S * rate_hz for at in (0, -1)]
+        points = np.where(is_seen[own_rows, :, None], keypoints_px[own_rows], np.nan)
+        parts = [abs(frame[own_rows] - frame[own_rows[at]]) <= _END_S * rate_hz for at in (0, -1)]
         first, last = (
-            _end(frame[own[part]], points[part], confidence[own[part]], rate_hz, is_last=bool(at))
+            _end(frame[own_rows[part]], points[part], confidence[own_rows[part]], rate_hz, is_last=bool(at))
             for at, part in enumerate(parts)
         )
         ends[person] = first, last

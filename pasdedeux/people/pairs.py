@@ -66,14 +66,16 @@ def choose_pairs(
     stated = [(min(couple), max(couple)) for couple in couples]
     ranked: list[tuple[float, NearPeople]] = []
     for first, second in combinations(rows_of, 2):
-        one, other = rows_of[first], rows_of[second]
-        common, at, there = np.intersect1d(at_frame[one], at_frame[other], return_indices=True)
-        fewer, more = sorted((len(one), len(other)))
+        first_rows, other = rows_of[first], rows_of[second]
+        common, at, there = np.intersect1d(at_frame[first_rows], at_frame[other], return_indices=True)
+        fewer, more = sorted((len(first_rows), len(other)))
         is_stated = (first, second) in stated
         is_common = len(common) >= max(_MIN_COMMON[0] * fewer, _MIN_COMMON[1] * more, 1)
         if not is_stated and not is_common:
             continue
-        touch, middle, ratio = _apart(points[one[at]], points[other[there]], size[one[at]], size[other[there]])
+        touch, middle, ratio = _apart(
+            points[first_rows[at]], points[other[there]], size[first_rows[at]], size[other[there]]
+        )
         closeness = 1.0 / ((1.0 + (touch / _TOUCH) ** 2) * (1.0 + (middle / _MIDDLE) ** 2))
         score = float(np.mean(closeness)) * float(np.exp(-((ratio / _SIZE) ** 2))) if len(common) else 0.0
         num_near = int(np.count_nonzero(middle < _NEAR))

@@ -53,17 +53,17 @@ def repair_rows(
     points[person, at], weight[person, at] = op14.positions, op14.confidence
     row_of = np.full(shape[:2], -1, dtype=np.int64)
     row_of[person, at] = np.arange(len(at))
-    found = repair_faults(points, weight, rate_hz=rate_hz)
-    is_kept = np.array([(one > 0).any() for one in found.confidence], dtype=bool)[person]
-    source_row = row_of[found.source_person[person, at], at[:, None]]
+    mended = repair_faults(points, weight, rate_hz=rate_hz)
+    is_kept = np.array([(one > 0).any() for one in mended.confidence], dtype=bool)[person]
+    source_row = row_of[mended.source_person[person, at], at[:, None]]
     for keypoint, (joint, mirror) in enumerate(_joints_of(layout)):
         if joint < 0:
             continue
-        source = np.where(found.source_joint[person, at, joint] == joint, keypoint, mirror)
+        source = np.where(mended.source_joint[person, at, joint] == joint, keypoint, mirror)
         change = is_kept & (source_row[:, joint] >= 0)
         px[change, keypoint] = keypoints_px[source_row[change, joint], source[change]]
         seen[change, keypoint] = confidence[source_row[change, joint], source[change]]
-        masked = is_kept & found.is_masked[person, at, joint]
+        masked = is_kept & mended.is_masked[person, at, joint]
         px[masked, keypoint], seen[masked, keypoint] = np.nan, 0.0
     joint_pairs = _own_joints(layout)
     others = np.array(
@@ -75,14 +75,14 @@ def repair_rows(
         frames, there = at[rows] - at[rows[0]], np.ix_(rows, others)
         track, trust = np.full((frames[-1] + 1, len(others), 2), np.nan), np.zeros((frames[-1] + 1, len(others)))
         track[frames], trust[frames] = px[there], seen[there]
-        size = np.full(len(track), float(track_size_px(found.keypoints_px[number])[0]))
+        size = np.full(len(track), float(track_size_px(mended.keypoints_px[number])[0]))
         is_wild = wild_points(track, trust, size, rate_hz=rate_hz)[frames]
         px[there], seen[there] = np.where(is_wild[..., None], np.nan, px[there]), np.where(is_wild, 0.0, seen[there])
     repaired = Keypoints(
-        np.where(is_kept[:, None, None], found.keypoints_px[person, at], op14.positions),
-        np.where(is_kept[:, None], found.confidence[person, at], op14.confidence),
+        np.where(is_kept[:, None, None], mended.keypoints_px[person, at], op14.positions),
+        np.where(is_kept[:, None], mended.confidence[person, at], op14.confidence),
     )
-    is_touched = found.is_touched[person, at] & (op14.confidence > 0) & is_kept[:, None]
+    is_touched = mended.is_touched[person, at] & (op14.confidence > 0) & is_kept[:, None]
     return px, seen, repaired, int(is_touched.sum())
 
 

@@ -197,12 +197,12 @@ def contact_drifts(contacts: Contacts, source: Source, variants: Iterable[tuple[
         return np.asarray(np.linalg.norm(contacts.vectors(points)[held], axis=-1))
 
     before = distances(points_of(source.positions_m))
-    found: dict[str, list[Array]] = {_OURS: [], _PLAIN: []}
+    by_method: dict[str, list[Array]] = {_OURS: [], _PLAIN: []}
     for scale, motion in variants:
         plain = reference_motion(source, scale[None])[0]
-        for method, moved in zip(found, (motion, plain), strict=True):
-            found[method].append(np.abs(distances(points_of(moved)) - before))
-    drifts = {method: np.array(rows).reshape(len(rows), len(is_hand)) for method, rows in found.items()}
+        for method, moved in zip(by_method, (motion, plain), strict=True):
+            by_method[method].append(np.abs(distances(points_of(moved)) - before))
+    drifts = {method: np.array(rows).reshape(len(rows), len(is_hand)) for method, rows in by_method.items()}
     return ContactDrifts(is_hand, held[0], drifts)
 
 

@@ -221,13 +221,13 @@ def _parts(pairs_m: np.ndarray) -> Iterator[DrawPart]:
 
 def _annotated_frames(store: Store, shard: Shard) -> set[tuple[str, int]]:
     """Return take and frame of every annotation."""
-    found: set[tuple[str, int]] = set()
+    annotated: set[tuple[str, int]] = set()
     for ref in shard.refs("annotations"):
         table = store.read(ref, "annotations", columns=["is_key", "take_id", "take_frame"])
         is_key = np.asarray(table["is_key"], dtype=bool)
         frames = table["take_frame"][is_key].astype(int).tolist()
-        found.update(zip(table["take_id"][is_key].tolist(), frames, strict=True))
-    return found
+        annotated.update(zip(table["take_id"][is_key].tolist(), frames, strict=True))
+    return annotated
 
 
 def _split(

@@ -48,9 +48,9 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
         facts = ModelFacts.of(model)
         made: dict[str, list[Manifest]] = {"generated": [], "solved": []}
         for manifest in inputs.of("variants"):
-            found = VariantFacts.of(manifest)
-            if found.take_id in facts.test and (found.origin is None or found.origin.artifact == model.ref.key):
-                made["solved" if found.origin is None else "generated"].append(manifest)
+            variant = VariantFacts.of(manifest)
+            if variant.take_id in facts.test and (variant.origin is None or variant.origin.artifact == model.ref.key):
+                made["solved" if variant.origin is None else "generated"].append(manifest)
         if made["generated"]:
             options = settings.part(LearnedSettings)
             shards.append(

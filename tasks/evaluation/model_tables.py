@@ -46,9 +46,12 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         for own in [[score for score in of_all if score.method == name]]
     }
     models = {name: in_words(name) for name in sorted(ranked, key=lambda name: ranked[name])}
-    found = {score.split.removesuffix(" test") for score in known}
+    known_splits = {score.split.removesuffix(" test") for score in known}
     splits = {
-        f"{name} test": name for one in SPLIT_NAMES for name in sorted(found) if name in (one, f"{one}_{EXPI18.name}")
+        f"{name} test": name
+        for one in SPLIT_NAMES
+        for name in sorted(known_splits)
+        if name in (one, f"{one}_{EXPI18.name}")
     }
     is_falling = {(s.method, s.split) for s in known if s.metric == FALL and s.value > _STILL_FALLS}
     order = {name: number for number, name in enumerate((*models, *splits))}
@@ -56,19 +59,19 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
     known.sort(key=lambda one: (one.item, order[one.split], order[one.method], one.metric))
 
     def by_model(caption: str, item: str, metrics: Sequence[str], cell: Callable[[Sequence[Score]], str]) -> TextTable:
-        own = [one for one in known if one.item == item and one.metric in metrics]
-        own.sort(key=lambda one: order[one.method])
-        return pivot_table(own, caption, ("model",), lambda s: (models[s.method],), splits, lambda s: s.split, cell)
+        rows = [one for one in known if one.item == item and one.metric in metrics]
+        rows.sort(key=lambda one: order[one.method])
+        return pivot_table(rows, caption, ("model",), lambda s: (models[s.method],), splits, lambda s: s.split, cell)
 
     def by_motion(caption: str, *, is_largest: bool) -> TextTable:
-        own = [one for one in known if one.item not in ("all", GENERATED) and one.metric in _PUBLISHED]
-        own = [one for one in own if one.item.endswith(AT_LARGEST) == is_largest]
+        rows = [one for one in known if one.item not in ("all", GENERATED) and one.metric in _PUBLISHED]
+        rows = [one for one in rows if one.item.endswith(AT_LARGEST) == is_largest]
         headings, names = ("motion", "split"), lambda s: (s.item.removesuffix(AT_LARGEST), splits[s.split])
-        return pivot_table(own, caption, headings, names, models, lambda s: s.method, _values(_PUBLISHED))
+        return pivot_table(rows, caption, headings, names, models, lambda s: s.method, _values(_PUBLISHED))
 
-    def on_splits(found: Sequence[Score]) -> str:
-        mark = " (validation still fell)" if (found[0].method, found[0].split) in is_falling else ""
-        return " / ".join(format_score(one).replace(" cm", "") for one in found) + mark
+    def on_splits(cell: Sequence[Score]) -> str:
+        mark = " (validation still fell)" if (cell[0].method, cell[0].split) in is_falling else ""
+        return " / ".join(format_score(score).replace(" cm", "") for score in cell) + mark
 
     tables = [
         by_model(
@@ -100,11 +103,10 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         ),
     ]
     seeded = {(_without_seed(one), one.split) for one in of_all if _without_seed(one) != one.method}
-    own = sorted(
-        (one for one in of_all if (_without_seed(one), one.split) in seeded), key=lambda one: order[one.method]
-    )
+    of_seeds = [score for score in of_all if (_without_seed(score), score.split) in seeded]
+    of_seeds.sort(key=lambda score: order[score.method])
     names, caption = lambda one: (in_words(_without_seed(one)),), "E_r (cm) over all seeds: mean (smallest to largest)"
-    tables.insert(1, pivot_table(own, caption, ("model",), names, splits, lambda one: one.split, _of_seeds))
+    tables.insert(1, pivot_table(of_seeds, caption, ("model",), names, splits, lambda one: one.split, _of_seeds))
     return [table for table in tables if table.rows]
 
 

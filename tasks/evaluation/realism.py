@@ -144,11 +144,11 @@ def train_on_real(
 
 def real_clips(store: Store, takes: Sequence[Manifest]) -> dict[str, np.ndarray]:
     """Return the clips of takes by interaction."""
-    found: dict[str, list[np.ndarray]] = {}
+    by_label: dict[str, list[np.ndarray]] = {}
     for take in takes:
         source = read_take(store, take.ref).source
-        found.setdefault(interaction_of(take), []).append(clips_of(source.positions_m, source.rate_hz))
-    return {kind: np.concatenate(clips) for kind, clips in found.items()}
+        by_label.setdefault(interaction_of(take), []).append(clips_of(source.positions_m, source.rate_hz))
+    return {kind: np.concatenate(clips) for kind, clips in by_label.items()}
 
 
 @dataclass(frozen=True)

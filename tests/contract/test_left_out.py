@@ -61,7 +61,7 @@ KINDS = {
     file_skipped: "torn.bvh: line 3 is no number",
     take_skipped: FAILED,
     video_of_a_skipped_take: FAILED,
-    take_of_one: "Take solo: one person; the stages that need pairs skipped it.",
+    take_of_one: "Take solo: 1 person; the stages that need pairs skipped it.",
     nobody_is_scaled: "No variants of take solo: one person, and nobody of those who are scaled: B.",
 }
 

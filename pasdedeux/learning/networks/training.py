@@ -65,8 +65,8 @@ def fit(
         group["lr"] = settings.rate(step)
         batch, what = draw()
         value = loss({key: torch.tensor(values, device=device) for key, values in batch.items()})
-        is_finite = math.isfinite(found := float(value.detach()))
-        total += found
+        is_finite = math.isfinite(loss_value := float(value.detach()))
+        total += loss_value
         if is_finite:
             optimiser.zero_grad()
             value.backward()

@@ -120,9 +120,9 @@ class InteractionLikelihood(Likelihood):
         images, bank = project_pair(pair_m, self.directions), self._bank
         entry, least = np.full(len(images), -1, dtype=np.int64), np.full(len(images), np.inf)
         for view in np.flatnonzero(bank.counts):
-            own = bank.candidates[view, : bank.counts[view]]
-            distances = image_distances(images[view, None], self._pairs.points_m[own])[0]
-            entry[view], least[view] = own[distances.argmin()], distances.min()
+            candidates = bank.candidates[view, : bank.counts[view]]
+            distances = image_distances(images[view, None], self._pairs.points_m[candidates])[0]
+            entry[view], least[view] = candidates[distances.argmin()], distances.min()
         return Nearest(entry, least)
 
     def nearest(self, pair_m: Array) -> Nearest:
@@ -181,13 +181,13 @@ def _springs(
     typical, times = np.full((num_points, num_points), 1e-9), np.zeros((num_points, num_points))
     missing = np.where(is_seen[..., None], points, np.nan)
     for view, count in enumerate(counts):
-        own = missing[slots[view, :count]]
+        view_missing = missing[slots[view, :count]]
         spread = np.unique(np.linspace(0, max(count - 1, 0), max(_NUM_SPRUNG // len(counts), 1)).astype(int))
         for row in spread[: count if count > 1 else 0]:
-            residual = plane_residual(own[row], own)
+            residual = plane_residual(view_missing[row], view_missing)
             residual[row] = np.inf
-            nearest = own[int(residual.argmin())]
-            difference = align_plane(own[row], nearest) - nearest
+            nearest = view_missing[int(residual.argmin())]
+            difference = align_plane(view_missing[row], nearest) - nearest
             apart = np.linalg.norm(difference[:, None] - difference[None], axis=-1)
             typical += np.nan_to_num(apart, nan=0.0)
             times += np.isfinite(apart)

@@ -84,15 +84,15 @@ def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) 
     tried = [item for item in candidates if item.stat().st_size > _EMPTY_LIST][:_NUM_TRIED]
     name = _frames_format(tried or candidates[:1], format_name)
     if name is None:
-        found = []
+        seen_cameras = []
         for path in paths:
             try:
-                found.append(CameraFiles(path.stem, _format_of(path, format_name), (path,)))
+                seen_cameras.append(CameraFiles(path.stem, _format_of(path, format_name), (path,)))
             except InputError as error:
                 if skipped is None:
                     raise
                 skipped[path.stem] = str(error)
-        return found
+        return seen_cameras
     frames = numbered or of_frames
     cameras: dict[str, list[Path]] = {}
     for item, (camera, _) in zip(frames, places_of_names(item.name for item in frames).values(), strict=True):

@@ -119,7 +119,7 @@ def find_annotations(
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
     """
-    found: list[FoundAnnotations] = []
+    sources: list[FoundAnnotations] = []
     known: set[str] = set()
     ids: set[str] = set()
     with named(f"annotations {options.id}"):
@@ -144,9 +144,9 @@ def find_annotations(
             ids.add(planned.id)
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
-            found.append(replace(source, parameters=planned.model_copy(update={"people": rows}), notes=notes))
+            sources.append(replace(source, parameters=planned.model_copy(update={"people": rows}), notes=notes))
         check_sequences(decisions, known)
-    return found
+    return sources
 
 
 def own_layout_of(path: Path | None) -> str | None:

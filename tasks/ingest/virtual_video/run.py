@@ -106,8 +106,8 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
         if parameters.detector:
             sequence_id += ".detector"
-            found = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
-            sequence, facts = _detected(sequence_id, *found)
+            seen_by = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
+            sequence, facts = _detected(sequence_id, *seen_by)
             detected.append(facts)
         else:
             sequence = _known(frames, key, seen)

@@ -82,16 +82,6 @@ class Tab:
         wait_until(lambda: self.run(f"!!({found})"), f"'{text}' on the page", limit_s=240.0)
         self.run(f"{found}.click()")
 
-    def type_into(self, label: str, text: str) -> None:
-        """Write into the field with this label, and leave it."""
-        self.run(
-            f"(() => {{ const field = [...document.querySelectorAll('label')].find((one) => one.textContent === "
-            f"{json.dumps(label)}).closest('div').parentElement.parentElement.querySelector('input, textarea');"
-            "field.focus(); field.select(); })()"
-        )
-        self.call("Input.insertText", text=text)
-        self.press("Enter")
-
     def mouse(self, *points: tuple[float, float]) -> None:
         """Press the left button at the first point, go along the others and let go."""
         (x, y), *rest = points

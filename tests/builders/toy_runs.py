@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 from distributed import Client
@@ -179,7 +178,3 @@ def wait_until(is_so: Callable[[], bool], what: str, *, limit_s: float = 120.0) 
     while not is_so():
         assert time.monotonic() < deadline, f"waited {limit_s:.0f} s for {what}"
         time.sleep(0.02)
-
-
-def read_json(text: str) -> Any:
-    return json.loads(text)

@@ -10,7 +10,7 @@ import pytest
 
 from storage_schema import Store, open_table
 from tests.builders.real_study import build_here, refused
-from tests.builders.source_samples import csv_text, openpose_text
+from tests.builders.source_samples import openpose_text
 
 STUDY = """
 [study]
@@ -78,13 +78,6 @@ def test_a_folder_of_nothing_but_unreadable_files_is_refused_even_when_they_are_
     assert "nobody was detected" in refused(capsys, folder / "bad.toml")
 
 
-def test_coco_18_is_not_read_as_body_25(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_study(folder, ', layout = "body25"')
-    assert refused(capsys, folder / "bad.toml") == (
-        "annotations walk: sequence 'walk': the layout 'body25' is asked for, but the files have 18 keypoints: 'coco18'"
-    )
-
-
 def test_an_empty_folder_and_a_missing_one_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.rmtree(folder / "walk")
     assert refused(capsys, folder / "bad.toml") == f"annotations walk: file {folder / 'walk'} does not exist"
@@ -93,14 +86,6 @@ def test_an_empty_folder_and_a_missing_one_are_named(folder: Path, capsys: pytes
         refused(capsys, folder / "bad.toml")
         == f"annotations walk: folder {folder / 'walk'} holds no files of 2D poses (.csv, .json, .npz, .txt, .xml)"
     )
-
-
-def test_a_line_of_a_table_that_is_wrong_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = csv_text().splitlines()
-    lines[9] = lines[9].replace(",0.8", ",high")
-    (folder / "walk.csv").write_text("\n".join(lines) + "\n")
-    write_study(folder, path="walk.csv")
-    assert refused(capsys, folder / "bad.toml").startswith("annotations walk: walk.csv: line 10: ")
 
 
 def test_a_motion_file_in_the_place_of_2d_poses_is_called_by_its_kind(

@@ -52,15 +52,6 @@ def test_what_a_study_says_wrongly_is_named_with_its_full_path(
     assert refused(capsys, study).startswith(f"study {study}: {sentence}")
 
 
-def test_a_split_that_leaves_nothing_to_test_on_is_refused_before_anything_is_computed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    near = SMALL.replace("scales = [0.75, 0.95, 1.05, 1.25]", "scales = [0.95, 1.05]")
-    study = write(tmp_path, near + '\n[training]\nsplits = ["cross_scale"]\n')
-    found = refused(capsys, study)
-    assert "split 'cross_scale' has no test variant among 4 variants of 2 takes; it needs scales within" in found
-
-
 def test_seeds_that_no_take_has_are_refused_where_it_can_be_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

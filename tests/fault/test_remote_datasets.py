@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -85,27 +84,6 @@ def test_a_dataset_comes_back_with_all_that_it_was_computed_from(
     assert contents(other) == contents(store)
     assert verify(other).is_ok
     assert pull_dataset(remote_of(server), "toys@1", other)[1] == 0
-
-
-@pytest.mark.parametrize("fault", ["error", "slow", "cut", "gone"])
-def test_faults_of_the_server_cost_time_and_nothing_else(
-    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, fault: str
-) -> None:
-    store, dataset = built
-    counter, lock = itertools.count(), threading.Lock()
-
-    def now_and_then(method: str, path: str) -> str:
-        with lock:
-            number = next(counter)
-        return fault if number in (5, 55) or (fault != "slow" and number % 12 == 5) else ""
-
-    timeout_s = 2.5 if fault == "slow" else 30.0  # of a server that shares two cores with others
-    server.fault, server.slow_s = now_and_then, timeout_s + 1.0
-    push_dataset(store, dataset, remote_of(server, timeout_s))
-    other = Store(tmp_path / "other")
-    pull_dataset(remote_of(server, timeout_s), "toys", other)
-    assert contents(other) == contents(store)
-    assert next(counter) > 55, "there were faults on both ways"
 
 
 def test_a_push_that_is_cut_off_shows_nothing_and_goes_on(

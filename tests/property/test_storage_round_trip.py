@@ -88,29 +88,8 @@ def test_every_row_comes_back_as_it_was_given_and_is_written_again_with_the_same
 
 
 @pytest.mark.parametrize("name", TABLES)
-@given(st.integers(0, 12), st.integers(0, 2**32 - 1))
-@settings(max_examples=3, deadline=None)
-def test_random_rows_of_every_table_come_back(name: str, num_rows: int, seed: int) -> None:
-    columns = random_columns(name, num_rows, seed)
-    found, _ = write_and_read(columns, TABLES[name])
-    for column, values in columns.items():
-        assert_same_values(found[column], values)
-
-
-@pytest.mark.parametrize("name", TABLES)
 def test_no_column_at_all_is_a_table_without_rows(name: str) -> None:
     assert encode(TABLES[name], {}).equals(encode(TABLES[name], random_columns(name, 0)), check_metadata=True)
-
-
-@given(st.sampled_from(["fixed", "fixed_whole"]), st.lists(st.integers(0, 4), max_size=4), st.integers(1, 3))
-def test_a_wrong_shape_is_refused_by_table_and_column(name: str, shape: list[int], num_rows: int) -> None:
-    columns = random_columns(ANY, num_rows)
-    values = np.zeros((num_rows, *shape), dtype=np.int64)
-    if tuple(shape) == ANY.column(name).shape:
-        encode(ANY, columns | {name: values})
-    else:
-        with pytest.raises(SchemaError, match=f"table 'any': column '{name}' has rows of shape"):
-            encode(ANY, columns | {name: values})
 
 
 JUNK = st.one_of(

@@ -80,7 +80,7 @@ def test_another_motion_and_too_few_people_are_refused() -> None:
     seen = film(people(50, 51), offset_s=1.0, rate=1.0)
     with pytest.raises(InputError, match=f"allowed {100 * MAX_RESIDUAL:.0f} %.*it is another motion"):
         align_film(seen, people(60, 61)[::-1], HZ)
-    with pytest.raises(InputError, match="the film shows 1 people, the take has 2"):
+    with pytest.raises(InputError, match="the film shows 1 person, the take has 2"):
         align_film(seen[:1], people(50, 51), HZ)
     unseen = [replace(one, confidence=np.zeros_like(one.confidence)) for one in seen]
     with pytest.raises(InputError, match="no clock brings enough joints"):

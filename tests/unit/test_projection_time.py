@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import angle_between, normalise, slerp, unitquat_from_rotvec
@@ -168,24 +167,6 @@ def test_a_steady_turn_passes_savitzky_golay_unchanged_and_noise_shrinks() -> No
     )
     for smooth in (smooth_savitzky_golay(noisy), smooth_live(noisy)):
         assert angle_between(smooth, turn)[5:].mean() < 0.75 * angle_between(noisy, turn)[5:].mean()
-
-
-def test_the_one_euro_filter_about_one_axis_is_that_of_the_angle() -> None:
-    angle = np.cumsum(np.random.default_rng(3).normal(0, 0.1, 40))
-    options = OneEuro(min_cutoff_hz=0.8, beta=0.3)
-    live, smooth, speed = OneEuroFilter(options, 30.0), angle[0], 0.0
-
-    def share(cutoff_hz: float) -> float:
-        return 1.0 / (1.0 + 30.0 / (2.0 * np.pi * cutoff_hz))
-
-    for frame, new in enumerate(angle):
-        speed += share(options.derivative_cutoff_hz) * ((new - smooth) * 30.0 - speed)
-        smooth += share(options.min_cutoff_hz + options.beta * abs(speed)) * (new - smooth)
-        found = live.step(frame, unitquat_from_rotvec(np.array([[0.0, new, 0.0]])))
-        expected = unitquat_from_rotvec(np.array([[0.0, smooth, 0.0]]))
-        np.testing.assert_allclose(np.abs(np.sum(found * expected)), 1.0, atol=1e-12)
-    with pytest.raises(ValidationError, match="min_cutoff_hz"):
-        OneEuro(min_cutoff_hz=0.0)
 
 
 def test_the_one_euro_filter_of_points_lags_more_at_a_lower_cutoff() -> None:

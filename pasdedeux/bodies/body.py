@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.bodies.shape import cones_of
-from pasdedeux.bodies.surface import joint_weights, mesh_of
+from pasdedeux.bodies.surface import NUM_VERTICES, joint_weights, mesh_of
 from pasdedeux.kinematics import Motion, bone_lengths, forward_kinematics, local_rotations, place_bones
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.capsules import standing_m
@@ -67,7 +67,7 @@ class Body:
         return csr_array(self.weights)
 
 
-def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Body:
+def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, *, num_vertices: int = NUM_VERTICES) -> Body:
     """Return the body of a working skeleton in its rest pose.
 
     Its surface lies within 1 cm of the capsules, but for head, hands, heels and flanks, which lie outside.
@@ -76,9 +76,10 @@ def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Body:
         skeleton: pair17, op14 or body22; of joints with other names the capsules alone are covered.
         rest_m: Where they are in the rest pose (J, 3), metres.
         radii_m: Radius of the capsule round the bone that ends in each joint (J,), metres; 0 where there is none.
+        num_vertices: About as many vertices has it.
     """
     cones = cones_of(skeleton, np.asarray(rest_m, dtype=np.float64), radii_m)
-    vertices, faces, normals = mesh_of(cones)
+    vertices, faces, normals = mesh_of(cones, num_vertices)
     return Body(rest_m, vertices, faces, normals, joint_weights(vertices, cones, skeleton.num_joints))
 
 

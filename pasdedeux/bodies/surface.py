@@ -15,7 +15,7 @@ _SMOOTH_M = 0.006
 _BLENDS = 8.0
 """A cone farther away than the nearest by so many widths does not count: exp(-8) of a width is 2 micrometres."""
 NUM_VERTICES = 4000
-"""About as many vertices has a body."""
+"""About as many vertices has a body by default."""
 _VERTICES_PER_SQUARE = 1.15
 """Vertices that marching cubes makes for an area of one voxel's side, with overlaps of the cones taken off."""
 _MOST_VOXELS = 300
@@ -193,7 +193,7 @@ def _weigh(
     return weights
 
 
-def mesh_of(cones: Cones) -> tuple[Array, Integers, Array]:
+def mesh_of(cones: Cones, num_vertices: int = NUM_VERTICES) -> tuple[Array, Integers, Array]:
     """Return vertices (n, 3), metres, faces (m, 3), outside counterclockwise, and unit normals (n, 3) of the surface.
 
     Marching cubes (Lewiner et al. 2003) on voxels near the surface; each vertex is then carried onto it.
@@ -204,7 +204,7 @@ def mesh_of(cones: Cones) -> tuple[Array, Integers, Array]:
     lengths, widest = np.linalg.norm(cones.ends_m[:, 1] - cones.ends_m[:, 0], axis=-1), cones.radii_m.max(axis=-1)
     area = float(np.sum(np.pi * cones.radii_m.sum(axis=-1) * lengths))
     extent = float(np.ptp(cones.ends_m.reshape(-1, 3), axis=0).max())
-    voxel = max(math.sqrt(_VERTICES_PER_SQUARE * area / NUM_VERTICES), extent / _MOST_VOXELS)
+    voxel = max(math.sqrt(_VERTICES_PER_SQUARE * area / num_vertices), extent / _MOST_VOXELS)
     low = (cones.ends_m.min(axis=1) - widest[:, None]).min(axis=0) - 2.0 * voxel
     high = (cones.ends_m.max(axis=1) + widest[:, None]).max(axis=0) + 2.0 * voxel
     coarse = np.indices(np.ceil((high - low) / (2.0 * voxel)).astype(int)).transpose(1, 2, 3, 0) + 0.25

@@ -20,7 +20,7 @@ from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.styles import style_of
 from pasdedeux.plausibility.capsules import capsule_model
-from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
+from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 
 if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
     from matplotlib.figure import Figure
@@ -224,7 +224,7 @@ class ShownPerson:
     def radii_m(self) -> list[float]:
         """Radius of each joint's bone, millimetres kept; empty of who is drawn thin, and where none are known."""
         there = self.positions_m[np.isfinite(self.positions_m).all(axis=(1, 2))]
-        if self.is_thin or self.skeleton not in (BODY22, PAIR17) or not len(there):
+        if self.is_thin or self.skeleton not in (BODY22, PAIR17, OP14) or not len(there):
             return []
         return np.round(capsule_model(self.skeleton).radii_of(there[:, None])[0], 3).tolist()
 
@@ -360,6 +360,7 @@ def _described(skeleton: Skeleton) -> dict[str, object]:
     return {
         "bones": [[parent, child, shades[child]] for parent, child in skeleton.bones],
         "head": skeleton.index("head"),
+        "body": skeleton.name,
     }
 
 

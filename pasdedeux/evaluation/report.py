@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
+_SKINS = "__SKINS__"
+"""Stands in the page for the bodies of its players."""
+
+
 @dataclass(frozen=True)
 class Section:
     """A section of the report: a heading with its verdicts by name, paragraphs, pictures, and tables that are folded.
@@ -77,4 +81,9 @@ def _environment(is_markdown: bool) -> Environment:
 
 def render(template: str, **values: Any) -> str:
     """Return a template with its gaps filled; the same values always give the same text."""
-    return _environment(template.endswith(".md")).get_template(template).render(**values)
+    text = _environment(template.endswith(".md")).get_template(template).render(**values)
+    if _SKINS not in text:
+        return text
+    from pasdedeux.evaluation.skins import SKINNED, skins_json  # here: a card needs none
+
+    return text.replace(_SKINS, skins_json(name for name in SKINNED if f'"body":"{name}"' in text))

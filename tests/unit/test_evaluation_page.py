@@ -64,7 +64,7 @@ def test_a_page_of_30_takes_has_the_first_pictures_and_rows_and_names_what_lies_
     page, text, _ = page_of(store, 30)
     assert len(page.scenes) == 25, "the first one stands on top as well"
     assert "6 pictures lie beside the page: take-take024.player.json, " in text
-    assert re.search(r"20 of \d+ rows; <code>scores</code> has all", text)
+    assert re.search(r"the first 20 of \d+ rows; the table <code>scores</code> has all", text)
     beside = {name for one in store.artifacts("evaluation") for name in one.attachments}
     assert sum(name.endswith(".player.json") for name in beside) == 30
 

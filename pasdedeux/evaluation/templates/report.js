@@ -12,6 +12,86 @@ function shade(colour, factor) {
   return "rgb(" + [1, 3, 5].map((at) => Math.round(parseInt(colour.slice(at, at + 2), 16) * factor)).join(",") + ")";
 }
 
+// Vectors of three.
+const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = (a) => { const size = Math.hypot(...a) || 1; return a.map((value) => value / size); };
+const turned = (rows, a) => rows.map((row) => row[0] * a[0] + row[1] * a[1] + row[2] * a[2]);
+
+// The rotation that takes three orthonormal axes to three others.
+const between = (from, to) => [0, 1, 2].map((i) => [0, 1, 2].map((j) => from[0][j] * to[0][i] + from[1][j] * to[1][i] + from[2][j] * to[2][i]));
+
+// Axes along a, and in the plane of a and b.
+function axes(a, b) {
+  const x = unit(a), z = unit(cross(x, b));
+  return [x, cross(z, x), z];
+}
+
+// A coarse body on joints in any pose: each vertex moves with up to four joints, at the scale of their bones.
+class Skin {
+  constructor(packed) {
+    const bytes = Uint8Array.from(atob(packed.data), (letter) => letter.charCodeAt(0)), count = packed.num_vertices;
+    this.packed = packed; this.count = count;
+    this.vertices = Float32Array.from(new Int16Array(bytes.buffer, 0, 3 * count), (value) => value * packed.unit_m);
+    this.joints = bytes.subarray(6 * count, 10 * count);
+    this.weights = bytes.subarray(10 * count, 14 * count);
+    this.faces = new Uint16Array(bytes.buffer.slice(14 * count));
+    this.order = packed.parents.map((_, joint) => joint).sort((a, b) => this.depth(a) - this.depth(b));
+    this.children = packed.parents.map((_, joint) => packed.parents.flatMap((parent, child) => (parent === joint ? [child] : [])));
+  }
+
+  depth(joint) { return this.packed.parents[joint] < 0 ? 0 : 1 + this.depth(this.packed.parents[joint]); }
+
+  // Rotation of each joint from the rest pose: by three points, else by the shortest way from that of its parent.
+  turns(points) {
+    const { parents, rest_m: rest, turned_by: by } = this.packed, turns = [];
+    for (const joint of this.order) {
+      const before = parents[joint] < 0 ? [[1, 0, 0], [0, 1, 0], [0, 0, 1]] : turns[parents[joint]], [child] = this.children[joint];
+      const frame = (at) => { const [left, right, up] = by[joint]; return axes(minus(at[left], at[right]), minus(at[up], at[joint])); };
+      if (by[joint]) turns[joint] = between(frame(rest), frame(points));
+      else if (child === undefined) turns[joint] = before;
+      else {
+        const was = unit(turned(before, minus(rest[child], rest[joint]))), is = unit(minus(points[child], points[joint]));
+        const normal = cross(was, is), cosine = was[0] * is[0] + was[1] * is[1] + was[2] * is[2];
+        if (Math.hypot(...normal) < 1e-6) { turns[joint] = before; continue; }
+        const swing = between(axes(was, cross(unit(normal), was)), axes(is, cross(unit(normal), is)));
+        turns[joint] = [0, 1, 2].map((i) => [0, 1, 2].map((j) => [0, 1, 2].reduce((sum, k) => sum + swing[i][k] * before[k][j], 0)));
+      }
+    }
+    return turns;
+  }
+
+  // How long the bones at each joint are against those of the rest pose.
+  scales(points) {
+    const { parents, rest_m: rest } = this.packed, scales = [];
+    for (const joint of this.order) {
+      const ratios = this.children[joint].map((child) => Math.hypot(...minus(points[child], points[joint])) / Math.hypot(...minus(rest[child], rest[joint])));
+      scales[joint] = ratios.length ? ratios.reduce((sum, value) => sum + value, 0) / ratios.length : scales[parents[joint]];
+    }
+    return scales;
+  }
+
+  // Vertices (n x 3) of the body with its joints at these points.
+  posed(points) {
+    const { rest_m: rest } = this.packed, scales = this.scales(points), out = new Float32Array(3 * this.count);
+    const turns = this.turns(points).map((rows, joint) => rows.map((row) => row.map((value) => value * scales[joint])));
+    const shifts = points.map((point, joint) => minus(point, turned(turns[joint], rest[joint])));
+    for (let vertex = 0; vertex < this.count; vertex++) {
+      const [x, y, z] = this.vertices.subarray(3 * vertex, 3 * vertex + 3);
+      for (let at = 4 * vertex; at < 4 * vertex + 4 && this.weights[at]; at++) {
+        const weight = this.weights[at] / 255, rows = turns[this.joints[at]], shift = shifts[this.joints[at]];
+        for (let axis = 0; axis < 3; axis++) out[3 * vertex + axis] += weight * (rows[axis][0] * x + rows[axis][1] * y + rows[axis][2] * z + shift[axis]);
+      }
+    }
+    return out;
+  }
+}
+const packedSkins = __SKINS__, skins = {};  // by skeleton: bodies that players share
+function skinOf(name) {
+  if (packedSkins[name]) skins[name] ??= new Skin(packedSkins[name]);
+  return skins[name];
+}
+
 class Player {
   constructor(figure) {
     this.scene = JSON.parse(figure.querySelector("script").textContent);
@@ -170,15 +250,47 @@ class Player {
     });
   }
 
+  // Draw bodies, lit from above left: pixels of their triangles, the nearest of each, twice as fine as the screen has them.
+  clothe(pen, bodies, project, width, height) {
+    const fine = 2 * (window.devicePixelRatio || 1), wide = Math.ceil(fine * width), tall = Math.ceil(fine * height);
+    const sheet = Object.assign(document.createElement("canvas"), { width: wide, height: tall }), pane = sheet.getContext("2d");
+    const image = pane.createImageData(wide, tall), pixels = new Uint32Array(image.data.buffer), near = new Float32Array(wide * tall).fill(-Infinity);
+    for (const { skin, joints, colour } of bodies) {
+      const vertices = skin.posed(joints), { faces } = skin, shades = skin.packed.shades;
+      const placed = Array.from({ length: skin.count }, (_, at) => project(vertices.subarray(3 * at, 3 * at + 3)));
+      const [red, green, blue] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+      for (let at = 0; at < faces.length; at += 3) {
+        const [a, b, c] = [placed[faces[at]], placed[faces[at + 1]], placed[faces[at + 2]]], scale = this.scale;
+        const area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        if (area >= 0) continue;
+        const [x, y, z] = unit(cross([b[0] - a[0], a[1] - b[1], scale * (b[2] - a[2])], [c[0] - a[0], a[1] - c[1], scale * (c[2] - a[2])]));
+        const light = shades[skin.joints[4 * faces[at]]] * (0.62 + 0.38 * (-0.36 * x + 0.72 * y + 0.6 * z));
+        const paint = (0xff000000 | ((blue * light) << 16) | (((green * light) & 255) << 8) | ((red * light) & 255)) >>> 0;
+        const [left, right] = [Math.min(a[0], b[0], c[0]), Math.max(a[0], b[0], c[0])].map((value) => Math.round(fine * value));
+        const [top, bottom] = [Math.min(a[1], b[1], c[1]), Math.max(a[1], b[1], c[1])].map((value) => Math.round(fine * value));
+        for (let row = Math.max(0, top); row <= Math.min(bottom, tall - 1); row++)
+          for (let column = Math.max(0, left); column <= Math.min(right, wide - 1); column++) {
+            const px = (column + 0.5) / fine - a[0], py = (row + 0.5) / fine - a[1];
+            const v = (px * (c[1] - a[1]) - py * (c[0] - a[0])) / area, w = ((b[0] - a[0]) * py - (b[1] - a[1]) * px) / area;
+            if (v < -0.001 || w < -0.001 || v + w > 1.001) continue;
+            const deep = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2]), place = row * wide + column;
+            if (deep > near[place]) { near[place] = deep; pixels[place] = paint; }
+          }
+      }
+    }
+    pane.putImageData(image, 0, 0);
+    pen.drawImage(sheet, 0, 0, wide / fine, tall / fine);
+  }
+
   drawPanel(pen, panel, width, height) {
     const box = this.middle(panel), isFlat = panel.is_flat, half = isFlat ? panel.half : (this.top - this.bottom) / 2;
-    const scale = this.zoom * Math.min((0.46 * width) / (isFlat ? panel.reach : 1.15 * this.reach), (0.43 * (height - 20)) / half);
+    const scale = this.scale = this.zoom * Math.min((0.46 * width) / (isFlat ? panel.reach : 1.15 * this.reach), (0.43 * (height - 20)) / half);
     const up = isFlat ? 0 : (this.top + this.bottom) / 2;
     const centre = box && !isFlat ? [box.at[0], up, box.at[2]] : [0, up, 0];
     const yaw = isFlat ? 0 : this.yaw, pitch = isFlat ? 0 : this.pitch;
     const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
     const project = (p) => {
-      const [x, y, z] = p.map((value, axis) => value - centre[axis]);
+      const x = p[0] - centre[0], y = p[1] - centre[1], z = p[2] - centre[2];
       const right = cy * x + sy * z, deep = -sy * x + cy * z;
       return [width / 2 + scale * right, 20 + (height - 20) / 2 - scale * (cp * y - sp * deep), cp * deep + sp * y];
     };
@@ -194,9 +306,11 @@ class Player {
         line(project([x - far, 0, z + i]), project([x + far, 0, z + i]), floor, 1);
       }
     }
-    const strokes = [], marks = [];
+    const strokes = [], marks = [], bodies = [];
     for (const figure of panel.figures) {
-      const { bones, head } = this.scene.skeletons[figure.skeleton];
+      const { bones, head, body } = this.scene.skeletons[figure.skeleton], skin = figure.radii_m?.length && skinOf(body);
+      const joints = skin && Array.from({ length: figure.num_points }, (_, index) => this.point(figure.start + index));
+      if (skin && joints.every(Boolean)) { bodies.push({ skin, joints, colour: figure.colour }); continue; }
       for (const [parent, child, factor] of bones) {
         const a = this.point(figure.start + parent), b = this.point(figure.start + child);
         const thick = figure.radii_m?.length ? 2 * figure.radii_m[child] * scale : figure.is_thin ? 1.5 : 3;
@@ -211,10 +325,17 @@ class Player {
         if (a && b) (lines.width > 2 || isFlat ? strokes : marks).push([project(a), project(b), lines.colour, lines.width]);
       }
     strokes.sort((one, other) => one[0][2] + one[1][2] - other[0][2] - other[1][2]);
-    for (const [a, b, colour, thick] of strokes) {
-      if (thick > 6) line(a, b, shade(colour, 0.6), thick + 2);
-      line(a, b, colour, thick);
-    }
+    const away = bodies.length ? bodies.reduce((sum, { joints }) => sum + project(joints[0])[2] / bodies.length, 0) : -Infinity;
+    const behind = strokes.filter(([a, b, , thick]) => thick > 4 && a[2] + b[2] < 2 * away);  // thin people are seen through bodies
+    const paint = (list) => {
+      for (const [a, b, colour, thick] of list) {
+        if (thick > 6) line(a, b, shade(colour, 0.6), thick + 2);
+        line(a, b, colour, thick);
+      }
+    };
+    paint(behind);
+    if (bodies.length) this.clothe(pen, bodies, project, width, height);
+    paint(strokes.filter((stroke) => !behind.includes(stroke)));
     for (const [a, b, colour, thick] of marks) {
       line(a, b, colour, thick);
       for (const end of [a, b]) { line(end, end, "#ffffff", 9); line(end, end, colour, 7); }

@@ -178,7 +178,7 @@ def _shown(people: ReconstructedPeople, sequence_id: str) -> Picture:
     player = reconstruction_player(
         upright_m, rate_hz=rate_hz, keypoints_px=seen_px, projected_px=projected_px, has_floor=True
     )
-    caption = f"{sequence_id}: the reconstruction over its 2D poses, and turning; five seconds from the middle."
+    caption = f"{sequence_id}: the reconstruction over its 2D poses, and in the room (five seconds from the middle)."
     return Picture(f"{sequence_id}{PLAYER}", caption, player)
 
 

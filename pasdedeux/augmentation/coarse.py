@@ -40,7 +40,7 @@ class Thinning:
 
 
 def thin_out(problem: MeshProblem, stride: int) -> Thinning:
-    """Keep every `stride`-th frame; as many are dropped before the first as after the last."""
+    """Keep every `stride`-th frame, dropping equally many frames at both ends."""
     total = problem.num_frames
     frames = np.arange((total - 1) % stride // 2, total, stride)
     before = np.concatenate([np.zeros((1, problem.stance.shape[1])), np.cumsum(problem.stance, axis=0)])

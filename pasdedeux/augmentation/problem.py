@@ -34,7 +34,7 @@ _GIRDLE_NAMES = (
 
 @lru_cache(maxsize=8)
 def girdle_pairs(num_people: int) -> Integers:
-    """Return pairs of points (pair, 2) whose distance stays that of the new skeleton, everybody's."""
+    """Return pairs of points (pair, 2), for all people, that keep their distance in the new skeleton."""
     girdle = np.array([BODY22.indices(pair) for pair in _GIRDLE_NAMES])
     return np.concatenate([girdle + person * BODY22.num_joints for person in range(num_people)])
 

@@ -82,7 +82,7 @@ class Quality:
     jerk_ratio: float = figure("Root mean square jerk relative to the source", (1.2, 2.0), better="nearer to 1")
 
     def judge(self, limits: Limits, *, is_alone: bool = False) -> Verdict:
-        """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
+        """Return the verdict with its reasons, and contact drift compared with plain forward kinematics.
 
         Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
         """
@@ -106,7 +106,7 @@ FIGURES = figures_of(Quality)
 
 @dataclass(frozen=True)
 class FrameQuality:
-    """Figures of each frame of one variant, arrays (T,), columns of `variant_frames`; what is not stated is as above.
+    """Figures of each frame of one variant, arrays (T,), columns of `variant_frames`; meanings default to `Quality`.
 
     Limits are wider than those of a variant, which are of means and percentiles of them.
     """
@@ -163,7 +163,7 @@ class QualityMeter:
 
     @property
     def has_stances(self) -> bool:
-        """Whether anything ever stands on the floor."""
+        """Whether any joint ever stands on the floor."""
         return bool(self._stances)
 
     def measure(

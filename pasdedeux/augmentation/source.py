@@ -104,7 +104,7 @@ class Source:
 
     @cached_property
     def floor_m(self) -> float:
-        """Height of standing toe joints, metres: one floor under everybody, so who is held up stands on nothing."""
+        """Height of standing toe joints, metres: one floor for everybody; a person who is carried stands on nothing."""
         if self.ground_m is not None:
             return self.ground_m
         toes = self.positions_m[:, :, self.skeleton.indices(["left_toe", "right_toe"])]
@@ -119,7 +119,7 @@ class Source:
 
     @cached_property
     def rest_heights_m(self) -> Array:
-        """Height of each joint over `floor_m` when that part of the body lies on the floor (P, 22), metres.
+        """Height of each joint above `floor_m` if its part of the body rests on the floor (P, 22), metres.
 
         An ankle's is that on a flat foot: the 10th percentile of the ankles' heights over their toes.  Other joints lie
         a radius over the floor, which the soles touch.

@@ -26,7 +26,7 @@ _SMOOTHING_S = 0.1
 
 
 def stance_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
-    """Return how much each joint stands (frame, P, 22), 1 standing: slow and on the floor in the source.
+    """Return the degree to which each joint stands (frame, P, 22), 1 if slow and on the floor in the source.
 
     Contacts with the floor that are stated stand in place of what is found.
     """
@@ -37,7 +37,7 @@ def stance_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
 
 
 def lasting_s(stands: Array, rate_hz: float) -> Array:
-    """Return for how long each joint stands, before and after each frame together, of weights (T, n), seconds.
+    """Return the duration of the stance around each frame, seconds, from weights (T, n).
 
     A frame of a weight below 1 ends part of it, one of weight 0 all.
     """

@@ -135,7 +135,7 @@ class AnnotatedFrames:
         status: Integers | None = None,
         **others: Any,
     ) -> AnnotatedFrames:
-        """Return keypoints of a known layout; those of a layout of somebody's own become pair17."""
+        """Return keypoints of a known layout; keypoints of a user's layout become pair17."""
         if KEYPOINT_LAYOUTS.get(layout.name) is not layout:
             joints = layout.derive(PAIR17.name, keypoints_px, confidence)
             if status is not None:
@@ -170,7 +170,7 @@ class AnnotatedFrames:
             object.__setattr__(self, name, value)
 
     def remark(self, words: str) -> AnnotatedFrames:
-        """Return the same with something said once."""
+        """Return the same annotations with one more note; a note is kept once."""
         return replace(self, remarks=tuple(dict.fromkeys((*self.remarks, words))))
 
     def rows(self, chosen: Flags) -> AnnotatedFrames:
@@ -195,7 +195,7 @@ class AnnotatedFrames:
         return self.rows(np.asarray(self.is_given.any(axis=1)))
 
     def start_of_each(self, num_frames: int) -> AnnotatedFrames:
-        """Return the rows of the first frames of each sequence, so many frames from its first one on."""
+        """Return the rows of the first frames of each sequence, up to a number of frames."""
         first: dict[str, int] = {}
         for name, frame in zip(self.sequence_id, self.frame.tolist(), strict=True):
             first.setdefault(name, frame)
@@ -234,7 +234,7 @@ def get_keypoint_layout(name: str | KeypointLayout) -> KeypointLayout:
 
 
 def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> AnnotatedFrames:
-    """Return annotations without the keypoints that their detector doubts, and without people of whom none is left.
+    """Return annotations without keypoints of low confidence, and without people who have no keypoints left.
 
     Detectors differ in what they call 1: old AlphaPose comes to 5 where a joint is plain to see, heat maps that sum to
     1 to 0.1.  Where the 95th percentile of a source is outside `USUAL_SCALE`, confidences are divided by it; within,
@@ -406,7 +406,7 @@ def _off_middle(frames: AnnotatedFrames) -> float:
 
 
 def check_anatomy(frames: AnnotatedFrames) -> None:
-    """Refuse keypoints whose order is not that of their layout: eyes at ankles, hips a body apart, a mid-hip at a hip.
+    """Refuse keypoints whose order differs from their layout: eyes at ankles, hips a body apart, a mid-hip at a hip.
 
     Raises:
         InputError: The segments are too long for a body, or much longer than in another layout, which is then named.

@@ -65,7 +65,7 @@ class _BvhFile:
 
 
 def read_bvh(data: bytes | str, person: int = 0) -> SourceMotion:
-    """Read a person of a BVH file.  An End Site without an offset says nothing and is dropped."""
+    """Read one person of a BVH file.  End Sites without an offset are dropped."""
     return _read(data).motion(person)
 
 
@@ -191,7 +191,7 @@ class _Joint:
     channels: str | None = None
 
     def allowed(self) -> list[str]:
-        """Return what may stand next in its block."""
+        """Return the tokens allowed next in the block."""
         words = ["OFFSET" if self.offset is None else "}"]
         if self.channels is None and not self.is_end:
             words.append("CHANNELS")

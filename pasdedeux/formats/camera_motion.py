@@ -32,7 +32,7 @@ class CameraMotion:
         return self.first_frame + np.arange(len(self.steady_from_image))
 
     def at(self, frames: Integers) -> Array:
-        """Return the matrices (n, 2, 3) of some frames; those outside have that of the nearest frame."""
+        """Return the matrices (n, 2, 3) of some frames; frames outside get that of the nearest frame."""
         return np.asarray(self.steady_from_image[np.clip(frames - self.first_frame, 0, len(self.frames) - 1)])
 
     def steady_px(self, frames: Integers, points_px: Array) -> Array:
@@ -53,7 +53,7 @@ class CameraMotion:
         return CameraMotion(int(numbers[0]), matrices.reshape(-1, 2, 3), self.image_size_px)
 
     def resized(self, scale: float) -> CameraMotion:
-        """Return the same motion in images so many times larger."""
+        """Return the same motion for images scaled by a factor."""
         # Pixel centres: the middle of a pixel of the smaller image is the middle of those it stands for.
         shift = 0.5 * (scale - 1.0)
         linear = self.steady_from_image[:, :, :2]
@@ -63,7 +63,7 @@ class CameraMotion:
 
     @property
     def displacement_px(self) -> Array:
-        """How far the middle of the image is from that of the steady one (frame, 2), pixels."""
+        """Displacement of the image centre from that of the steady image (frame, 2), pixels."""
         middle = 0.5 * np.array(self.image_size_px, dtype=np.float64)
         return np.asarray(self.steady_px(self.frames, np.broadcast_to(middle, (len(self.frames), 2))) - middle)
 

@@ -79,7 +79,7 @@ def read_cvat(
 
 
 def write_cvat(frames: AnnotatedFrames) -> str:
-    """Return annotations of one film as CVAT's tracks: what was annotated or detected is a key frame, the rest not."""
+    """Return annotations of one film as tracks of CVAT; annotated and detected frames are key frames."""
     names = get_keypoint_layout(frames.layout).keypoint_names
     sizes = set(frames.image_size_px.values())
     lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "  <version>1.1</version>"]

@@ -78,7 +78,7 @@ class Detection:
 
 
 class OtherLayoutError(InputError):
-    """Keypoints are not as many as the layout asked for has."""
+    """The number of keypoints differs from that of the requested layout."""
 
 
 @dataclass(frozen=True)

@@ -195,7 +195,7 @@ class AnnotationFormat(FileFormat):
         return self.read_people is not None
 
     def frame_numbers(self, names: Sequence[str]) -> list[int]:
-        """Return the frame that each file of a camera is of by its name; empty where the content says it."""
+        """Return the frame number of each file of a camera from its name; empty if the content states it."""
         places = places_of_names(names) if self.is_file_per_frame else {}
         return [places[name][1] for name in names if name in places]
 
@@ -207,7 +207,7 @@ class AnnotationFormat(FileFormat):
         layout: str | KeypointLayout = "auto",
         skip_unreadable: bool = False,
     ) -> AnnotatedFrames:
-        """Read a source from its files by name: one, or those of all frames.
+        """Read a source from its files, given by name: one file, or one per frame.
 
         The last of several may be cut off, because its writer was stopped: it is skipped.
 

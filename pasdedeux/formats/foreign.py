@@ -38,7 +38,7 @@ _MAX_NAMED = 3
 
 
 def refuse_foreign(data: bytes) -> None:
-    """Refuse a file that is known to be of a kind that is not read here; of any other nothing is said.
+    """Refuse a file of a known but unsupported kind; accept any other file.
 
     Raises:
         FormatError: In one sentence: what the file seems to be, and what to do.

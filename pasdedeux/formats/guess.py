@@ -51,7 +51,7 @@ _TOE_NAMES = by_side("left", "toe")
 
 @dataclass(frozen=True)
 class AxisGuess:
-    """Which axis points up, and how clearly the bodies stand along it: from 0 (a guess) to 1."""
+    """The up axis and its confidence, from 0 (a guess) to 1, by how clearly bodies stand along it."""
 
     axis: str
     confidence: float
@@ -83,7 +83,7 @@ class MirrorGuess:
 
 
 def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGuess:
-    """Return the axis along which the body stands, feet below head; how clearly is the mean cosine between them.
+    """Return the axis along which the body stands, feet below head; the confidence is the mean cosine between both.
 
     A body that does not stand clearly has the axis of its rest pose, where that stands, else y, with little confidence:
     most files are y-up.  Hands beyond the head that keep one height, while feet do not, may stand on the floor: that
@@ -172,7 +172,7 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
 
 
 def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
-    """Return the up axis of people who were captured together: that of the one for whom it is clearest, y among equals.
+    """Return the common up axis of people captured together: that with the highest confidence; y if equal.
 
     One of two may lie on the floor all the time, as wrestlers do; alone that body would be taken to stand along it.
     A confidence that differs by less than a tenth decides nothing: most files are y-up.
@@ -183,7 +183,7 @@ def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
 
 
 def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
-    """Return the file's own unit where it states one; else the known unit that makes an adult of the body.
+    """Return the unit that the file states, else the known unit that gives the body an adult height.
 
     A stated unit that makes a giant or a doll of the body gives way to a known one that makes an adult: a guess.
 

@@ -57,7 +57,7 @@ def write_npz(human: HumanoidMotion, **facts: Array) -> bytes:
 
 
 def units_text(human: HumanoidMotion, units: str) -> str:
-    """Return a text to lie beside the files of a video: units, axes, joints."""
+    """Return the text file that describes the files of a video: units, axes, joints."""
     return (
         f"BVH files are in {_SPELT[units]} and degrees, npz files in metres and unit quaternions (x, y, z, w).\n"
         f"Axes: {AXES}; the floor is at y = 0, z points to the camera of the video.\n"

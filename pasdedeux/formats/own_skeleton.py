@@ -108,7 +108,7 @@ def body_map(layout: Layout, skeleton: Skeleton, rest_offsets_m: Array) -> BodyM
 
 @dataclass(frozen=True)
 class OwnSkeleton:
-    """A person's motion on the skeleton it came with, and how body22 lies in it.
+    """Motion of a person on the skeleton of its file, with the mapping to body22.
 
     Args:
         motion: The motion; its rotations are relative to the source's rest pose.
@@ -165,7 +165,7 @@ class OwnSkeleton:
         return offsets * scale[:, None]
 
     def posed(self, body22_m: Array, bone_scale: Array, *, meets_tips: bool = True) -> Motion:
-        """Return the motion with scaled bones, posed so that its body22 lies at positions (frame, 22, 3), metres.
+        """Return the motion with scaled bones, posed so that its body22 has positions (frame, 22, 3), metres.
 
         From the root outwards every joint that moves joints of body22 turns, from the source's own rotation and by the
         shortest way, until they lie where they are wanted: one is met in its direction, several in the least-squares

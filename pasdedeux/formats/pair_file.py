@@ -130,7 +130,7 @@ def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
 def pair_from_bvh(
     first: bytes | str, second: bytes | str, *, frame: int = 0, metres_per_unit: float = 0.01
 ) -> PairFile:
-    """Read one frame of two BVH files, those of person A and person B, as a pair.
+    """Read one frame of the BVH files of person A and person B as a pair.
 
     Joints are those of `pair17` where the file has them all, as one that was written here; else a known layout.
     """

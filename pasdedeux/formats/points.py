@@ -72,7 +72,7 @@ _LISTS = re.compile(
 
 
 def read_points(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
-    """Read landmarks, whose coordinates may be shares of the image; what is missing or at (0, 0) is not detected.
+    """Read landmarks in pixels or relative to the image; missing points and points at (0, 0) are not detected.
 
     Without a number of its own, a frame is where it stands.  Points in order may be another detector's.
     """

@@ -17,7 +17,7 @@ _RESOLUTION = 1e-12
 
 
 def is_one_rate(first_hz: float, second_hz: float) -> bool:
-    """Tell whether two rates differ in the last digits alone."""
+    """Return whether two rates differ only by rounding."""
     return abs(first_hz - second_hz) <= _SAME * second_hz
 
 

@@ -28,7 +28,7 @@ Mappings = Mapping[str, Mapping[Any, Table]]
 
 @dataclass(frozen=True)
 class Stated:
-    """What a user says of a motion file; None and "auto" where nothing is said."""
+    """Statements of the user on a motion file; None and "auto" if nothing is stated."""
 
     layout: str = "auto"
     rate_hz: float | None = None
@@ -125,7 +125,7 @@ def resolve_up_axes(
     stated: Sequence[str],
     stands_alone: Sequence[bool],
 ) -> list[AxisGuess]:
-    """Return the up axis of each person's file: what is stated, else how the bodies stand.
+    """Return the up axis of each person's file: as stated, else detected from the standing bodies.
 
     Whoever clearly stands along the axis along which his rest pose stands too has that axis: his file says so twice.
     The others have the axis of those who stand most clearly, because one of two who were captured together may lie on
@@ -154,7 +154,7 @@ def resolve_up_axes(
 
 
 def mend_of_mirror(exchanged: Sequence[bool]) -> str:
-    """Return what to set where people of a take, told by this mask, have left and right exchanged.
+    """Return the setting that corrects exchanged left and right for the people in this mask.
 
     A mirror shows everybody of a scene: where others are right, only names are exchanged.  Of one person alone nothing
     tells, because a body looks like its mirror image.

@@ -92,7 +92,7 @@ _HOLD = 1e-4
 
 @dataclass(frozen=True)
 class BodyModel:
-    """Where the joints of a body model lie at rest.
+    """Rest joints of a body model.
 
     Args:
         skeleton: Its joints, those of the body under the names of body22.
@@ -142,7 +142,7 @@ class BodyModel:
 
 @lru_cache(maxsize=2)
 def read_body_model(data: bytes) -> BodyModel:
-    """Read the joints of a body model; of an npz that holds more, such as objects, only what is needed is opened.
+    """Read the joints of a body model; opens only the needed arrays of an npz.
 
     Raises:
         FormatError: It is no npz, lacks an array, or its arrays do not fit each other or any kind of model.
@@ -334,7 +334,7 @@ class SmplMotion:
 
 
 def smpl_of_motion(model: BodyModel, motion: Motion, body22_m: Array, *, up_axis: str) -> SmplMotion:
-    """Return the parameters of a motion on a model's own joints, Y up, whose rest pose may stand along another axis.
+    """Return the parameters of a motion on the joints of a model, Y up; its rest pose may have another up axis.
 
     Args:
         model: The body model.

@@ -92,7 +92,7 @@ class SourceMotion:
         )
 
     def with_sides_exchanged(self) -> SourceMotion:
-        """Return the motion with the names of left and right exchanged: mends a file that swaps them alone."""
+        """Return the motion with the names of left and right exchanged, for files that swap only the names."""
         names = self.skeleton.joint_names
         other = dict(zip(names, with_sides_exchanged(names), strict=True))
         ends = frozenset(other[name] for name in self.end_sites)

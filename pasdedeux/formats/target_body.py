@@ -68,7 +68,7 @@ class TargetBody:
 
 @dataclass(frozen=True)
 class BodyFit:
-    """A person's bones made those of a body.
+    """Bones of a person, fitted to a target body.
 
     Args:
         bone_scale: Scale of each bone (22,); 1 for the root.

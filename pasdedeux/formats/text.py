@@ -76,7 +76,7 @@ class Lines:
                 yield words
 
     def put_back(self, text: str) -> None:
-        """Let what was read of the last line be read again as its text."""
+        """Put the last line back, to be read again as text."""
         self.number -= 1
         self._texts[self.number] = text
 
@@ -254,14 +254,14 @@ def compare_count(stated: int, held: int) -> str:
 
 
 def check_range(value: N, what: str, low: float, high: float) -> N:
-    """Return a value that lies in a range."""
+    """Return a value after checking that it is in a range."""
     if not low <= value <= high:
         raise FormatError(f"{what} is {value:.10g}; allowed: {low:.10g} to {high:.10g}")
     return value
 
 
 def parse_numbers(tokens: Sequence[str], what: str, count: int) -> list[float]:
-    """Return so many finite numbers."""
+    """Return a given number of finite numbers."""
     if len(tokens) != count:
         raise FormatError(f"{what} needs {counted(count, 'number')}, found {len(tokens)}")
     return [parse_number(token, what) for token in tokens]

@@ -67,12 +67,12 @@ class Contacts:
 
     @property
     def is_held(self) -> npt.NDArray[np.bool_]:
-        """Which of them count as contacts where there must be a yes or no (T, M): at half weight and more."""
+        """Which candidates count as contacts (T, M): those with a weight of at least one half."""
         return np.asarray(self.weights >= 0.5)
 
     @property
     def num_hands(self) -> Indices:
-        """How many of the two points are of a hand or foot (T, M), where there must be a number."""
+        """Number of points of each contact on a hand or foot (T, M)."""
         return np.asarray((self.hand >= 0.5).sum(axis=-1))
 
     def bones(self) -> Indices:
@@ -202,7 +202,7 @@ def _clear(
 
 
 def averaged(values: Array, sigma: float) -> Array:
-    """Return values (T, ...) averaged by a Gaussian of `sigma` frames; those of a single frame as they are."""
+    """Return values (T, ...) averaged by a Gaussian of `sigma` frames; a single frame is returned unchanged."""
     if len(values) < 2:
         return values
     from scipy.ndimage import gaussian_filter1d  # here: planning need not wait for it

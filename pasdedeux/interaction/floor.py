@@ -23,7 +23,7 @@ _FLOOR_QUANTILE = 0.1
 
 
 class StandingSettings(Settings):
-    """What counts as a foot that stands."""
+    """Criteria of a standing foot."""
 
     contact_speed_m_s: float = Field(0.3, gt=0, description="Feet slower than this may be planted")
     away_share: float = Field(
@@ -74,7 +74,7 @@ def find_standing(
 
 
 def floor_under(feet_m: Array, is_standing: Booleans, is_present: Booleans | None = None) -> float:
-    """Return the height of ankles that stand, over all people who stand; over all people when none does.
+    """Return the height of standing ankles over all standing people; over all people if nobody stands.
 
     Args:
         feet_m: Ankles (frame, person, foot=2, 3), upright axes, metres.

@@ -224,7 +224,7 @@ def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
 
 @compiled(inline="always")
 def turned_gap(rotmat, moving, fixed, k):  # type: ignore[no-untyped-def]
-    """Return the three differences of point k of `moving` (n, 3), turned, to that of `fixed` (n, 3)."""
+    """Return the difference vector from point k of `fixed` (n, 3) to the rotated point k of `moving` (n, 3)."""
     x, y, z = moving[k, 0], moving[k, 1], moving[k, 2]
     return (
         rotmat[0, 0] * x + rotmat[0, 1] * y + rotmat[0, 2] * z - fixed[k, 0],

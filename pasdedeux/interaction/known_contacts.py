@@ -21,7 +21,7 @@ PersonName = Annotated[str, Field(pattern="^[A-Z]{1,2}$")]
 
 
 class UserContact(Settings):
-    """A contact that is stated, in place of what is found between the two bones."""
+    """A stated contact, which replaces detected contacts between the two bones."""
 
     joint_a: str = Field(description="Joint of the first person in which the bone ends, by its name in body22")
     joint_b: str | None = Field(None, description="Joint of the second person in which the bone ends")
@@ -76,7 +76,7 @@ class UserContact(Settings):
         return first, -1 - objects.names.index(self.object)
 
     def within(self, start: int, stop: int) -> UserContact | None:
-        """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
+        """Return the part of the contact in frames `start` to `stop`, counted from `start`; None if there is none."""
         first, last = max(self.start_frame, start), min(self.stop_frame, stop)
         changed = {"start_frame": first - start, "stop_frame": last - start}
         return self.model_copy(update=changed) if first < last else None
@@ -106,7 +106,7 @@ def check_contacts(
 
 
 def read_contacts(data: bytes) -> tuple[UserContact, ...]:
-    """Read a CSV whose columns are the fields of `UserContact`, a contact each row; what is empty has its default.
+    """Read a CSV with the fields of `UserContact` as columns and one contact per row; empty cells mean the default.
 
     Raises:
         FormatError: A column, joint or value is not known or allowed; the line is named.

@@ -18,7 +18,7 @@ from pasdedeux.interaction.nearest import PairTable, image_distances, interactio
 
 @dataclass(frozen=True)
 class PairMap:
-    """A plane on which real pairs, or images, lie as far apart as by D_I, as far as a plane can.
+    """A plane map of real pairs or images that preserves the distances D_I as well as possible.
 
     Args:
         landmarks_m: The real pairs, made ready, or images, (n, person=2, joint, 2), metres.
@@ -59,7 +59,7 @@ class PairMap:
         )
 
     def place(self, pairs_m: Array | PairTable) -> Array:
-        """Return where other pairs (m, person=2, joint, 3 or 2) lie, (m, 2), metres; those in 3D may be made ready."""
+        """Return the places (m, 2), metres, of other pairs (m, person=2, joint, 3 or 2); 3D pairs may be prepared."""
         if not isinstance(pairs_m, PairTable) and not len(pairs_m):
             return np.empty((0, 2))
         squared = _distances(pairs_m, self.landmarks_m) ** 2

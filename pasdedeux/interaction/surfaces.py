@@ -104,7 +104,7 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
 
 
 def standing_out(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> Array:
-    """Return how much two bones meet by themselves (T, pair), from 0 to 1.
+    """Return how distinct the contact of two bones is from that of neighbouring bones (T, pair), from 0 to 1.
 
     Where they are closest at a joint and the next bone from there is closer, it is that bone which meets the other.
 

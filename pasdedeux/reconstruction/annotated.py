@@ -122,7 +122,7 @@ def lift_over_time(
 
 
 def as_pair17(op14_m: Array, pair_m: Array) -> Array:
-    """Return two people (2, 14, 3) on pair17 (2, 17, 3): trunks and heads, which op14 lacks, are those of a pair.
+    """Return two people (2, 14, 3) as pair17 (2, 17, 3); trunks and heads, which op14 lacks, come from a similar pair.
 
     Each is moved, at the size of the other, to where shoulders and hips lie.
     """

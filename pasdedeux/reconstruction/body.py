@@ -98,7 +98,7 @@ class Body:
 
     @property
     def toe_height_m(self) -> float:
-        """Height of the balls of the feet of who stands."""
+        """Height of the balls of the feet of a standing person, metres."""
         return self.ankle_height_m * _TOE_HEIGHT / _ANKLE_HEIGHT
 
 
@@ -161,7 +161,7 @@ class Bends:
 
     @classmethod
     def none(cls, count: int) -> Bends:
-        """Return what is taken where nothing is known: a straight back, feet square to the shanks, eyes ahead."""
+        """Return the default pose: a straight back, feet at right angles to the shanks, eyes ahead."""
         unitquat = np.zeros((count, BODY22.num_joints, 4))
         unitquat[..., 3] = 1.0
         return cls(unitquat, unitquat[:, 0].copy())
@@ -229,7 +229,7 @@ def body_from_joints(body22_m: Array, unitquat: Array) -> EmbodiedMotion:
 
 
 def body_through(positions_m: Array) -> Body:
-    """Return the body whose bones are those of op14 positions (frame, 14, 3), metres: the median over the frames."""
+    """Return the body with the median bone lengths of op14 positions (frame, 14, 3), metres."""
     return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
 
 
@@ -271,7 +271,7 @@ def pose_body(
 
 
 def soles_m(bodies: Sequence[EmbodiedMotion]) -> float:
-    """Return how far the soles of people who stand are below their ankles, in the mean over them."""
+    """Return the mean distance of the soles below the ankles over all standing people, metres."""
     return float(np.mean([body.body.ankle_height_m for body in bodies]))
 
 

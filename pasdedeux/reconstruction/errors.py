@@ -62,7 +62,7 @@ def jitter_m(positions_m: Array) -> float:
 
 
 def foot_slide_m(found_m: Array, true_m: Array, *, rate_hz: float) -> float:
-    """Return the mean horizontal displacement of standing ankles in a frame; 0 where they never stand.
+    """Return the mean horizontal displacement of standing ankles per frame; 0 if they never stand.
 
     Frames are those in which the true ankles stand, the same for all methods: a motion that wobbles or sinks would
     otherwise choose its own.

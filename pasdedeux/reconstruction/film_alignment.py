@@ -71,7 +71,7 @@ class FilmAlignment:
 
 
 def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> FilmAlignment:
-    """Find people, clocks and camera under which the take's joints lie on the keypoints.
+    """Find the people, clocks and camera that project the joints of the take onto the keypoints.
 
     Clocks and people are tried on some frames, with the camera by resection (SQPnP, Terzakis and Lourakis 2020) for
     each; the best are refined together with camera, focal length (unless known), offset and rate.

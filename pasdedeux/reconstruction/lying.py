@@ -42,13 +42,13 @@ _TRUNK = OP14.indices([f"{side}_{name}" for name in ("hip", "shoulder") for side
 
 
 def stands(track: Track) -> Flags:
-    """Tell in which frames somebody is seen to stand: back upright in the image, legs under it."""
+    """Return the frames in which a person visibly stands: back upright in the image, legs below it."""
     is_upright, legs = _back_and_legs(track)
     return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1])
 
 
 def is_on_floor(track: Track) -> bool:
-    """Tell whether a track shows somebody whose back is hardly ever upright; not without back and legs in the image."""
+    """Return whether a person's back is hardly ever upright; False without back and legs in the image."""
     is_upright, legs = _back_and_legs(track)
     is_seen = np.isfinite(legs)
     return bool(is_seen.any()) and float(is_upright[is_seen].mean()) < _MAX_UPRIGHT
@@ -66,14 +66,14 @@ def _back_and_legs(track: Track) -> tuple[Flags, Array]:
 
 
 def searchers_for(searcher: Searcher, tracks: Sequence[Track]) -> list[Searcher]:
-    """Return what to search each track with: poses laid down as well for who is on the floor, made ready once."""
+    """Return the searcher of each track; for people on the floor it includes lying poses and is prepared once."""
     is_lying = [is_on_floor(track) for track in tracks]
     laid = with_laid(searcher) if any(is_lying) else searcher
     return [laid if lies else searcher for lies in is_lying]
 
 
 def with_laid(searcher: Searcher) -> Searcher:
-    """Return a searcher that finds poses laid down as well; its rows are those of the poses that were laid down."""
+    """Return a searcher that also finds lying poses; their rows are those of the original upright poses."""
     database = searcher.database
     laid, source = laid_down(database, _MAX_PROJECTIONS)
     rows = np.concatenate([np.arange(database.num_rows), source])
@@ -82,7 +82,7 @@ def with_laid(searcher: Searcher) -> Searcher:
 
 
 def laid_down(database: Database, max_projections: int) -> tuple[npt.NDArray[np.floating], Integers]:
-    """Return poses laid down (n, 14, 3), and their rows (n,): of so many projections at most, an even choice."""
+    """Return lying poses (n, 14, 3) and their rows (n,), evenly chosen up to a number of projections."""
     rows = np.arange(0, database.num_rows, max(1, -(-2 * database.num_projections // max_projections)))
     belly, back = (database.poses_m[rows] @ turn for turn in (ON_BELLY.T, ON_BELLY))
     below = back[:, _TRUNK, 1].min(axis=1) - back[..., 1].min(axis=1)

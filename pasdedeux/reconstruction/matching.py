@@ -32,7 +32,7 @@ _MODEL_ERROR_M = 0.012
 
 
 class Method(StrEnum):
-    """How a candidate is chosen for each frame, and what is done with it."""
+    """The choice of a candidate for each frame, and its further processing."""
 
     NEAREST = "nearest"
     PUBLISHED = "published"

@@ -29,7 +29,7 @@ _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
 
 def share_alike(tracks: Sequence[Track]) -> float:
-    """Return the share of the frames in which all joints of everybody move alike, and no ankle stands still.
+    """Return the share of frames in which all joints of all people move alike and no ankle is still.
 
     Only frames that show an ankle count; 0 where less than half a second of them is seen.
     """
@@ -71,7 +71,7 @@ def subtract_motion(tracks: Sequence[Track], motion: CameraMotion | None) -> tup
 
 
 def moving_camera_doubt(tracks: Sequence[Track]) -> str:
-    """Say that the camera seems to move; empty where nothing says so."""
+    """Return a sentence if the camera seems to move, else an empty text."""
     share = share_alike(tracks)
     if share <= _MAX_SHARE:
         return ""

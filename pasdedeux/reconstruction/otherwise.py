@@ -66,7 +66,7 @@ def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_give
 
 
 def may_lie(laid_m: Array, upright_m: Array, *, frames_per_s: float) -> bool:
-    """Tell whether somebody who was matched upright may lie.
+    """Return whether a person who was matched upright may lie.
 
     Args:
         laid_m: Distances of the nearest poses laid down (frame,), metres.

@@ -349,7 +349,7 @@ def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.ND
 
 
 def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[str, ...]:
-    """Say whether the camera's pitch was found at the edge of those that were tried, or is badly known.
+    """Return a sentence if the camera pitch is at the limit of the search or uncertain, else an empty text.
 
     A level camera is no edge: few look up at people.
     """

@@ -226,7 +226,7 @@ class KnownScene:
         return list(dict.fromkeys(-1.0 if above else 1.0 for above in is_above))
 
     def may_carry(self) -> Iterator[tuple[int, int]]:
-        """Yield who may be carried and by whom: of two people hands are seen on a body for half of the time."""
+        """Yield possible pairs of carried person and carrier: hands are seen on the other's body half of the time."""
         for people, touching in self.hands.items():
             if touching.any(axis=(1, 2)).mean() > _HELD_SHARE:
                 yield from (people, people[::-1])

@@ -43,7 +43,7 @@ class Lens:
     def assumed(
         cls, width_px: float | None, height_px: float | None, keypoints_px: Array, focal_px: float | None = None
     ) -> Lens:
-        """Return the lens with this focal length, else of a common camera, for this image size.
+        """Return the lens with this focal length, or that of a common camera, for this image size.
 
         An unknown size is estimated from where keypoints lie.
         """
@@ -60,7 +60,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Track:
-    """One person's keypoints over the frames of a sequence, and where they lie in it.
+    """Keypoints of one person over the frames of a sequence, with their frame numbers.
 
     Args:
         keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
@@ -107,7 +107,7 @@ class Track:
         return replace(self, keypoints_px=motion.steady_px(self.frames, self.keypoints_px))
 
     def every(self, stride: int) -> Track:
-        """Return every so many frames."""
+        """Return every n-th frame."""
         return self.chosen(slice(None, None, stride), self.rate_hz / stride)
 
     def chosen(self, frames: Integers | slice, rate_hz: float) -> Track:

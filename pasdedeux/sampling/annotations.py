@@ -40,7 +40,7 @@ def shows_enough(points: Array) -> npt.NDArray[np.bool_]:
 def is_left_out(
     sequence_id: Sequence[str], frame: npt.NDArray[np.integer], every: int, stills: Collection[str] = ()
 ) -> npt.NDArray[np.bool_]:
-    """Return which annotations (row,) are left out of what draws are made from: every so many-th moment.
+    """Return which annotations (row,) take no part in making draws: every n-th moment.
 
     A moment is `SAME_MOMENT` frames of a video, which show nearly the same pose, or one frame of `stills`; the first
     one left out is in the middle of the first `every`.  None where `every` is 0, or moments are too few.
@@ -89,7 +89,7 @@ class AnnotatedPairs:
 
     @property
     def centred_m(self) -> Array:
-        """Image points of both people (entry, n, 2), metres, the mean of those seen at (0, 0); 0 where not seen."""
+        """Image points of both people (entry, n, 2), metres, centred on the mean of the seen ones; 0 where not seen."""
         points = merge_axes(self.points_m, 1, -1)
         is_seen = merge_axes(self.is_seen, 1)[..., None]
         mean = np.where(is_seen, points, 0.0).sum(axis=1, keepdims=True) / is_seen.sum(axis=1, keepdims=True)

@@ -38,7 +38,7 @@ class ChainState:
 
 @dataclass(frozen=True)
 class Correction:
-    """What a proposal that depends on where it stands knows once it was prepared at the proposed point.
+    """Data for the correction of a state-dependent proposal, prepared at the proposed point.
 
     Args:
         log_ratio: log Q(here | there) - log Q(there | here): what eq. 10 adds.

@@ -51,7 +51,7 @@ MIN_TRAVELLED_M = 0.01
 
 @dataclass(frozen=True)
 class ChainReport:
-    """How one chain went: columns of `chain_info`, NaN where an invariant never moved, and what is thought of it."""
+    """Diagnostics of one chain and the verdict on it: columns of `chain_info`, NaN if an invariant never moved."""
 
     verdict: Verdict
     num_draws: int = figure("Draws kept")

@@ -209,7 +209,7 @@ def _distances(images_m: Array) -> Array:
 
 
 def choose_medoids(matrix: Array, count: int) -> Indices:
-    """Return `count` members (count,) that stand for a set with these dissimilarities (set, set).
+    """Return `count` medoids (count,) of a set with these dissimilarities (set, set).
 
     Farthest-first from the member nearest to all others, then Voronoi iteration: everyone joins the nearest medoid, and
     each group takes the member nearest to the rest of it, until nothing changes.  No randomness; ties go to the lower

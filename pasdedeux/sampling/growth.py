@@ -207,7 +207,7 @@ class _Frontier:
         return np.full(shape, np.inf), np.full(shape, -1, dtype=np.int64)
 
     def add(self, lifted: _Lifted) -> None:
-        """Take a pair in: it may lift what it looks like."""
+        """Add a pair from which similar annotations may be lifted."""
         self.lifted.append(lifted)
         keep_nearest(self._views.residuals(lifted.pair_m), len(self.lifted) - 1, self.distance_m, self.which)
 

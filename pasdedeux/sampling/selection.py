@@ -112,7 +112,7 @@ class PairSelector:
         return is_new
 
     def selection(self) -> Selection:
-        """Choose among the pairs so far; fewer than asked for where fewer differ, none where there is none."""
+        """Choose among the pairs so far; fewer than requested if fewer differ, none if there are none."""
         count = min(self._num_selected, self._num_kept)
         if self._kept is None or not count:
             return Selection(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), self._radius_m)

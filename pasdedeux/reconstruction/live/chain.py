@@ -106,7 +106,7 @@ class LivePeople:
 
 
 def warm_up(searcher: Searcher, options: LiveOptions | None = None) -> None:
-    """Load what is compiled before the first image comes: a pose of the database goes through a chain of its own."""
+    """Load compiled kernels before the first image by passing a pose of the database through a separate chain."""
     options = options or LiveOptions()
     options = options.model_copy(update={"lag": min(options.lag, 6)})
     people = LivePeople(searcher, rate_hz=30.0, image_size_px=(1920, 1080), options=options)

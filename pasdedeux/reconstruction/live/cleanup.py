@@ -63,13 +63,13 @@ class LiveFloor:
         return float(floor)
 
     def forget(self, person: int) -> None:
-        """Forget who is gone."""
+        """Forget people who are gone."""
         self._heights.pop(person, None)
         self._last.pop(person, None)
 
 
 class LiveCleanUp:
-    """One person's clean-up as poses leave; the state is this person's alone.
+    """Clean-up of the poses of one person as they leave; holds the state of this person.
 
     Args:
         rate_hz: Frames per second.

@@ -118,7 +118,7 @@ class _Bones:
         return REFERENCE_LENGTHS_M * self.proportions * self.size
 
     def as_tall_as(self, stature_m: float | None) -> _Bones:
-        """Return the bones of somebody of this stature, as the legs tell it; the same where none is stated."""
+        """Return these bones scaled to a stature, measured by the legs; unchanged if no stature is stated."""
         if stature_m is None:
             return self
         growth = stature_m / float(body_height_m(OP14, self.lengths_m))
@@ -295,11 +295,11 @@ class _Chain:
 
     @property
     def has_learned(self) -> bool:
-        """Whether a frame said something of the bones."""
+        """Whether any frame gave information on the bones."""
         return self._num_seen > 0
 
     def learned(self) -> _Bones:
-        """Return the person's own bones as the frames so far say, once all their poses were given."""
+        """Return the person's bones by all frames so far, once all poses of these frames were given."""
         bones = _Bones(self._estimate_proportions(), REFERENCE_HIP_WIDTH_M)
         if not self._hip_widths:
             return bones

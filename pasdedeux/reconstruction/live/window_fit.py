@@ -84,7 +84,7 @@ class _Fitted:
 
 
 class WindowFit:
-    """One person's live fit; the state is this person's alone."""
+    """Live fit of one person; holds the state of this person."""
 
     def __init__(self, rate_hz: float, *, min_noise_m: float = MIN_NOISE_M) -> None:
         self._rate_hz = rate_hz

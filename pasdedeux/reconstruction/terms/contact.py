@@ -90,7 +90,7 @@ class GapTerm(SurfaceTerm):
         return np.arange(len(gap_m)), np.stack(np.divmod(merge_axes(gap_m, 1).argmin(axis=1), gap_m.shape[-1]))
 
     def counts(self, gaps: Array) -> Flags:
-        """Tell which gaps count: those of bodies that pass through each other."""
+        """Return which gaps count: those of overlapping bodies."""
         return (gaps < 0.0) | self.is_carrying
 
 
@@ -117,7 +117,7 @@ class TouchTerm(SurfaceTerm):
         return rows, np.where(hand < len(_HANDS), bones, bones[::-1])
 
     def counts(self, gaps: Array) -> Flags:
-        """Tell which gaps count: those of hands that are apart from the other."""
+        """Return which gaps count: those of hands away from the partner."""
         return gaps > 0.0
 
 

@@ -84,7 +84,7 @@ class FloorTerm(SceneTerm):
         return Jacobian(columns, slopes * (residual < 0.0)[:, None] if self.is_carried else slopes)
 
     def robust(self, residual: Array) -> Flags:
-        """Tell which residuals count less: those of people above the floor."""
+        """Return which residuals have less weight: those of people above the floor."""
         return residual > 0
 
 

@@ -28,7 +28,7 @@ class PitchTerm(SceneTerm):
     pitch: PitchEstimate
 
     def off_rad(self, scene: PlacedPeople) -> float:
-        """Return by how much rays look farther down than the image says; of a stated pitch, the camera."""
+        """Return how much farther down rays look than the image shows; for a stated pitch, the camera."""
         if self.pitch.is_given:
             return float(scene.x[Unknown.PITCH] - self.pitch.pitch_rad)
         return float(np.arcsin(self._down(scene, self._rays(scene))).mean() - self.pitch.pitch_rad)

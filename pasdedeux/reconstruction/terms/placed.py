@@ -25,7 +25,7 @@ _ACROSS = np.array([1.0, 1.0, 0.0])
 
 
 class Unknown(IntEnum):
-    """Places of the unknowns that are not of one person; `SeenPeople` has those of people.
+    """Indices of the unknowns that belong to no single person; `SeenPeople` has those of people.
 
     Pitch of the camera (rad), log of its height (m), log of its focal length over the assumed one, and the slope of the
     floor that errors of poses in depth cause.

@@ -78,7 +78,7 @@ class AlignedLikelihood(Likelihood):
         """
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Return the log of eq. 6 of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
+        """Return the log of eq. 6 for a pair (2, 17, 3), metres; -inf once it is known to be below `at_least`."""
         limit, margin = np.inf, np.inf
         if self._pooling is Pooling.MEAN:
             # The mean over views is at most the best view: it alone must reach the floor.

@@ -54,14 +54,14 @@ class Likelihood(ABC):
 
     @abstractmethod
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Return its log for a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
+        """Return the log likelihood of a pair (2, 17, 3), metres; -inf once it is known to be below `at_least`."""
 
     @abstractmethod
     def plain(self, pair_m: Array) -> float:
         """Compute the same by definition, slowly, as a reference for tests and benchmarks."""
 
     def nearest(self, pair_m: Array) -> Nearest:
-        """Return what is nearest to a pair (2, 17, 3), metres, under every view, also where it cannot matter."""
+        """Return the annotation nearest to a pair (2, 17, 3), metres, under every view, even a negligible one."""
         return Nearest(np.empty(0, dtype=np.int64), np.empty(0))
 
 
@@ -214,7 +214,7 @@ class Density:
 
 
 class PriorOnly(Likelihood):
-    """No likelihood: the physical prior alone."""
+    """No likelihood: the physical prior only."""
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Return 0."""

@@ -101,7 +101,7 @@ class InteractionLikelihood(Likelihood):
         self._slot = np.empty(len(bank.directions), dtype=np.int64)
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Return the log of eq. 6 of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
+        """Return the log of eq. 6 for a pair (2, 17, 3), metres; -inf once it is known to be below `at_least`."""
         # The mean over views is at most the best view: it alone must reach the floor.
         limit = np.inf if at_least == -np.inf else -at_least * self._tables.scale
         if self._pooling is Pooling.EVERY_VIEW:

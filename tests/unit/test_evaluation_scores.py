@@ -217,8 +217,15 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
     scores = [
         score
         for split in ("random test", "cross_scale test")
-        for item in ("all", "hug", "hug at 1.25")
-        for score in model_scores(errors, split=split, item=item)
+        for item, factor in (("all", 1.0), ("hug", 1.0), ("hug at 1.25", 2.0))
+        for score in model_scores(
+            {
+                name: [{metric: factor * value for metric, value in one.items()} for one in of]
+                for name, of in errors.items()
+            },
+            split=split,
+            item=item,
+        )
     ]
     whole, contacts, motions, largest = model_tables(scores)
     assert [row[1:] for row in contacts.rows] == [("- / 3.00",) * 2, ("- / 0.20",) * 2]
@@ -230,7 +237,9 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
     assert motions.rows == tuple(
         ("hug", split, "4.00 / 9.00 / 3.00", "0.50 / 0.10 / 0.20") for split in ("random", "cross_scale")
     )
-    assert largest.rows == motions.rows
+    assert largest.rows == tuple(
+        ("hug", split, "8.00 / 18.00 / 6.00", "1.00 / 0.20 / 0.40") for split in ("random", "cross_scale")
+    )
     assert best_model(scores, split="random test", baselines=("copy",)) == "ridge"
     assert best_model(scores, split="random test", baselines=("copy", "ridge")) == "ridge"
     assert model_tables([]) == []

@@ -47,7 +47,7 @@ from tasks.projections import Pitches, ProjectionsParameters, read_database, rea
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
 
-LIFTING = StageName("lifting", 15)
+LIFTING = StageName("lifting", 16)
 
 DOUBTFUL_M = 0.15
 """Median expected error above which lifted pairs are doubted."""

@@ -30,7 +30,7 @@ from tasks.kept import kept
 from tasks.projections import clusters_of, read_cameras, read_clusters, read_pairs, read_searched
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 
-RECONSTRUCTION = StageName("reconstruction", 24)
+RECONSTRUCTION = StageName("reconstruction", 25)
 
 LEVEL = "level"
 """Name of what is made as if the camera were level."""

@@ -67,7 +67,7 @@ class Seen:
 
         height, width = image.shape[:2]
         (matrix,) = motion.resized(width / motion.image_size_px[0]).at(np.array([frame]))
-        return np.asarray(cv2.warpAffine(image, matrix, (width, height)))
+        return np.asarray(cv2.warpPerspective(image, matrix, (width, height)))
 
     def locate_camera(
         self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float

@@ -94,7 +94,8 @@ def annotate_shot(
     scale = min(1.0, TRACKED_SIZE_PX / float(size.max()))
     points, sizes = shape[1] * shape[2], np.repeat(size, shape[2])
     flat = known.reshape(num_frames, points, 2)
-    follower = CameraFollower(_boxes(known, scale))
+    focal_px = given.focal_px.get(given.sequence_id[0]) if len(given.frame) else None
+    follower = CameraFollower(_boxes(known, scale), None if focal_px is None else scale * focal_px)
 
     def passing() -> Iterator[Image]:
         for image in images:

@@ -1,9 +1,10 @@
 """The motion of a hand-held camera, found from the background while the images of a shot pass by.
 
-Corners outside the people are followed from a reference image by pyramidal Lucas-Kanade flow, and a similarity is
-fitted to them by RANSAC.  Every image is compared with the reference itself, so that errors do not add up; where too
-few of its corners are left, the image before becomes the next reference.  A camera that also changes its place is not
-supported: near and far things then move differently, and few corners fit one similarity.
+Corners outside the people are followed from a reference image by pyramidal Lucas-Kanade flow.  Those that move alike
+are chosen by RANSAC with a homography, and rotation and zoom of the camera are fitted to them.  Every image is compared
+with the reference itself, so that errors do not add up; where too few of its corners are left, the image before becomes
+the next reference.  A camera that also changes its place is not supported: near and far things then move differently,
+and few corners fit one homography.
 """
 
 from __future__ import annotations
@@ -14,25 +15,24 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.film.tracking import Image
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH, CameraMotion, apply
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 
 _LARGEST_PX = 640
 """Longer side of the images in which corners are followed."""
 _NUM_CORNERS, _MIN_CORNERS = 300, 12
 _WINDOW_PX, _NUM_LEVELS = 15, 3
 _MAX_MISFIT_PX = 1.0
-"""Distance within which a corner fits a similarity."""
+"""Distance within which a corner fits a homography."""
 _MIN_FITTING, _MIN_KEPT = 0.3, 0.25
-"""Share of the followed corners that fit a similarity that is believed; share of a reference's corners that fit the
+"""Share of the followed corners that fit a homography that is believed; share of a reference's corners that fit the
 image, below which another reference is taken."""
 _PADDING = 0.15
 """People are so much larger than the box of their keypoints, on each side, a share of its longer side."""
 _STILL_SHARE = 0.004
 """A camera that moves the image by less, a share of its diagonal, is still: tracking errs as much."""
 _MAX_LOST = 0.1
-"""Share of the images without a similarity up to which the motion is known."""
-
-_IDENTITY = np.eye(2, 3)
+"""Share of the images without a homography up to which the motion is known."""
 
 LOST = "the camera's motion is not known: too little of the background is seen, or the camera changes its place"
 
@@ -42,11 +42,12 @@ class CameraFollower:
 
     Args:
         boxes_px: Low and high corners of the people (frame, person, 2, 2) in pixels of these images, NaN for nobody.
+        focal_px: Focal length in pixels of these images; if it is not known, that of a common camera.
     """
 
-    def __init__(self, boxes_px: Array) -> None:
-        self._boxes_px = boxes_px
-        self._matrices: list[Array] = []
+    def __init__(self, boxes_px: Array, focal_px: float | None = None) -> None:
+        self._boxes_px, self._focal_px = boxes_px, focal_px
+        self._turns: list[Array] = []
         self._num_lost = 0
         self._scale = 1.0
         self._small_px = (1, 1)
@@ -62,15 +63,15 @@ class CameraFollower:
             grey = np.asarray(cv2.resize(grey, None, fx=self._scale, fy=self._scale, interpolation=cv2.INTER_AREA))
         self._small_px = (grey.shape[1], grey.shape[0])
         is_free = self._outside_people(grey.shape[:2])
-        matrix = _IDENTITY if self._last is None else self._follow(grey, is_free)
-        if matrix is None and self._reference is not None:
+        turn = np.zeros(4) if self._last is None else self._follow(grey, is_free)
+        if turn is None and self._reference is not None:
             self._refer(*self._last)
-            matrix = self._follow(grey, is_free)
-        if matrix is None:
+            turn = self._follow(grey, is_free)
+        if turn is None:
             self._num_lost += 1
-            matrix, self._reference = self._matrices[-1], None
-        self._matrices.append(matrix)
-        self._last = (grey, is_free, matrix)
+            turn, self._reference = self._turns[-1], None
+        self._turns.append(turn)
+        self._last = (grey, is_free, turn)
         if self._reference is None:
             self._refer(*self._last)
 
@@ -79,27 +80,21 @@ class CameraFollower:
 
         There is no motion where the camera is still, or where it is not known.
         """
-        matrices = np.array(self._matrices).reshape(-1, 2, 3)
+        turns = np.array(self._turns).reshape(-1, 4)
         size = np.array(self._small_px, dtype=np.float64)
-        if self._num_lost > _MAX_LOST * len(matrices):
+        if self._num_lost > _MAX_LOST * len(turns):
             return None, True
-        middle = 0.5 * size
-        turn = matrices[:, 0, 0] + 1j * matrices[:, 1, 0]
-        away = (matrices[:, :, :2] @ middle + matrices[:, :, 2]) - middle
-        typical = np.exp(np.median(np.log(np.abs(turn))) + 1j * np.median(np.unwrap(np.angle(turn))))
-        linear = np.array([[typical.real, -typical.imag], [typical.imag, typical.real]])
-        back = np.linalg.inv(linear)
-        offset = middle - back @ (middle + np.median(away, axis=0))
-        matrices = np.concatenate([back @ matrices[:, :, :2], back @ matrices[:, :, 2:] + offset[:, None]], axis=-1)
-        motion = CameraMotion(first_frame, matrices, self._small_px)
+        steady = np.linalg.inv(self._homography(np.median(turns, axis=0))) if len(turns) else np.eye(3)
+        matrices = np.array([steady @ self._homography(turn) for turn in turns]).reshape(-1, 3, 3)
+        motion = CameraMotion(first_frame, matrices / matrices[:, 2:, 2:], self._small_px)
         corners = np.array([(0.0, 0.0), (size[0], 0.0), (0.0, size[1]), tuple(size)])
         moved = motion.steady_px(motion.frames, np.broadcast_to(corners, (len(matrices), 4, 2))) - corners
-        is_still = np.linalg.norm(moved, axis=-1).mean(axis=1).max() < _STILL_SHARE * np.linalg.norm(size)
+        is_still = np.linalg.norm(moved, axis=-1).mean(axis=1).max(initial=0.0) < _STILL_SHARE * np.linalg.norm(size)
         return (None if is_still else motion.resized(1.0 / self._scale)), False
 
     def _outside_people(self, shape: tuple[int, ...]) -> Image:
         mask = np.full(shape, 255, dtype=np.uint8)
-        for low, high in self._scale * self._boxes_px[len(self._matrices)]:
+        for low, high in self._scale * self._boxes_px[len(self._turns)]:
             if np.isfinite(low).all():
                 pad = _PADDING * float((high - low).max()) + 2.0
                 x0, y0 = np.clip(low - pad, 0, shape[::-1]).astype(int)
@@ -107,21 +102,22 @@ class CameraFollower:
                 mask[y0:y1, x0:x1] = 0
         return mask
 
-    def _refer(self, grey: Image, is_free: Image, matrix: Array) -> None:
+    def _refer(self, grey: Image, is_free: Image, turn: Array) -> None:
         """Make an image the reference."""
         import cv2
 
         strong = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.003, 5.0, mask=is_free)
         corners = np.zeros((0, 2), np.float32) if strong is None else strong.reshape(-1, 2)
-        self._reference = (grey, corners, matrix, corners.copy()) if len(corners) >= _MIN_CORNERS else None
+        self._reference = (grey, corners, turn, corners.copy()) if len(corners) >= _MIN_CORNERS else None
 
     def _follow(self, grey: Image, is_free: Image) -> Array | None:
-        """Return the similarity that takes the image to the first one; None where it cannot be told."""
+        """Return the turn (4,) of the camera since the first image, see `_homography`; None where it cannot be told."""
         import cv2
+        from scipy.optimize import least_squares
 
         if self._reference is None:
             return None
-        image, corners, matrix, places = self._reference
+        image, corners, turn, places = self._reference
         moved, was_found, _ = cv2.calcOpticalFlowPyrLK(
             image,
             grey,
@@ -138,17 +134,29 @@ class CameraFollower:
         chosen = np.flatnonzero((was_found.reshape(-1) > 0) & is_inside & (is_free[at[:, 1], at[:, 0]] > 0))
         if len(chosen) < _MIN_CORNERS:
             return None
-        similarity, fits = cv2.estimateAffinePartial2D(
-            moved[chosen], corners[chosen], method=cv2.RANSAC, ransacReprojThreshold=_MAX_MISFIT_PX
-        )
-        num_fitting = 0 if fits is None else int(np.count_nonzero(fits))
+        homography, fits = cv2.findHomography(moved[chosen], corners[chosen], cv2.RANSAC, _MAX_MISFIT_PX)
+        fitting = chosen[:0] if fits is None else chosen[fits.reshape(-1) > 0]
         enough = max(_MIN_CORNERS, _MIN_FITTING * len(chosen), _MIN_KEPT * len(corners))
-        if similarity is None or num_fitting < enough:
+        if homography is None or len(fitting) < enough:
             return None
+        seen, wanted = moved[fitting].astype(np.float64), apply(self._homography(turn), corners.astype(np.float64))
+        found = least_squares(
+            lambda turn: (apply(self._homography(turn), seen) - wanted[fitting]).ravel(), self._turns[-1], method="lm"
+        ).x
         # Corners that people hide, or that were lost, are looked for where the image now has them.
-        back = cv2.invertAffineTransform(similarity)
-        places = corners @ back[:, :2].T.astype(np.float32) + back[:, 2].astype(np.float32)
-        self._reference = (image, corners, matrix, places)
-        both = matrix[:, :2] @ similarity
-        both[:, 2] += matrix[:, 2]
-        return np.asarray(both)
+        places = apply(np.linalg.inv(self._homography(found)), wanted).astype(np.float32)
+        self._reference = (image, corners, turn, places)
+        return np.asarray(found)
+
+    def _homography(self, turn: Array) -> Array:
+        """Return the matrix (3, 3) that takes pixels of an image to those of the first one.
+
+        Args:
+            turn: Rotation vector of the camera since the first image (x right, y down), and log of its zoom (4,).
+        """
+        width, height = self._small_px
+        focal_px = self._focal_px * self._scale if self._focal_px else FOCAL_OVER_WIDTH * max(width, height)
+        lens = np.array([[focal_px, 0.0, 0.5 * width], [0.0, focal_px, 0.5 * height], [0.0, 0.0, 1.0]])
+        zoomed = lens * [[np.exp(turn[3]), 1.0, 1.0], [1.0, np.exp(turn[3]), 1.0], [1.0, 1.0, 1.0]]
+        turned = rotmat_from_unitquat(unitquat_from_rotvec(turn[:3]))
+        return np.asarray(lens @ turned @ np.linalg.inv(zoomed))

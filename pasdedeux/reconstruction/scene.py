@@ -132,11 +132,15 @@ def estimate_scene(
     if camera_height_m is not None:
         check_positive(camera_height_m, "the height of the camera")
     known = KnownScene(SeenPeople(tuple(map(SeenPerson, tracks))), pitch, pairs, statures_m or {}, camera_height_m)
-    seen, start, sides = known.seen, known.start(), known.sides()
-    solutions = [solve(known.terms(), seen, start, side=side) for side in sides]
+    seen, sides = known.seen, known.sides()
+    # Hands and bodies make local minima: from one lens alone, noise of a pixel decides which is found.
+    solutions = [
+        min((solve(known.terms(), seen, start, side=side) for start in known.starts()), key=lambda found: found.cost)
+        for side in sides
+    ]
     is_other = solutions[-1].cost + _OTHER_SIDE_COST < solutions[0].cost
     side, solution = (sides[-1], solutions[-1]) if is_other else (sides[0], solutions[0])
-    carried, cost = None, solution.cost - _CARRIED_COST
+    carried, cost, start = None, solution.cost - _CARRIED_COST, next(known.starts())
     for people in known.may_carry():
         tried = solve(known.terms(people), seen, start, side=side)
         if tried.cost < cost:
@@ -183,12 +187,11 @@ class KnownScene:
 
     def terms(self, carried: tuple[int, int] | None = None) -> list[SceneTerm]:
         """Return the terms of the estimate, if the first of two people is carried by the second."""
-        is_lens_known = all(person.track.track.lens.is_known for person in self.seen.people)
         height_deviation = _HEIGHT_DEVIATION if self.camera_height_m is None else KNOWN_DEVIATION
         terms: list[SceneTerm] = [
             PitchTerm(self.pitch),
             PriorTerm(Unknown.HEIGHT, self._log_height, height_deviation),
-            PriorTerm(Unknown.LENS, 0.0, KNOWN_DEVIATION if is_lens_known else _LENS_DEVIATION),
+            PriorTerm(Unknown.LENS, 0.0, KNOWN_DEVIATION if self.is_lens_known else _LENS_DEVIATION),
             PriorTerm(Unknown.TILT, 0.0, _TILT_DEVIATION),
             stature_term(self.seen, self.statures_m),
             PriorTerm(self.seen.ankles, 0.0, _ANKLE_DEVIATION_M),
@@ -203,15 +206,25 @@ class KnownScene:
             terms += [GapTerm(couple, is_carrying=is_carrying), TouchTerm(couple, self.hands[couple.people])]
         return terms
 
-    def start(self) -> Array:
-        """Return the first guess of the unknowns: people of known stature at that size, the others where they are."""
+    @property
+    def is_lens_known(self) -> bool:
+        """Whether the focal length is stated for everybody."""
+        return all(person.track.track.lens.is_known for person in self.seen.people)
+
+    def starts(self) -> Iterator[Array]:
+        """Yield first guesses of the unknowns: people of known stature at that size, the others where they are.
+
+        The lens is the assumed one; if it is not known, then one deviation shorter and longer.
+        """
         start = np.zeros(self.seen.starts[-1])
         start[Unknown.PITCH], start[Unknown.HEIGHT] = self.pitch.pitch_rad, self._log_height
         for number, person in enumerate(self.seen.people):
             if stature_m := self.statures_m.get(person.track.person_id):
                 grown = [self.seen.sizes[number], *self.seen.distances(number)]
                 start[grown] = np.log(stature_m / person.stature_m)
-        return start
+        for away in (0.0,) if self.is_lens_known else (0.0, -_LENS_DEVIATION, _LENS_DEVIATION):
+            start[Unknown.LENS] = away
+            yield start.copy()
 
     def sides(self) -> list[float]:
         """Return where the floor may be: where feet are by the pitch, then by a pitch that is one deviation off.

@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, check_positive
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH, CameraMotion
 from pasdedeux.people.broken import find_breaks
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
@@ -27,8 +27,6 @@ TRACK_COLUMNS = (
     "focal_px",
 )
 """Columns of the table of annotations that tracks are made of."""
-_FOCAL_OVER_WIDTH = 0.72
-"""Focal length over the longer side of the image if it is not known: a 26 mm phone lens on 36 mm film."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Lens:
             # People are filmed about the middle, and an image is about 16:9.
             x, y = (float(value) for value in 0.5 * (seen.min(axis=0) + seen.max(axis=0)))
             longer, middle = 2.0 * max(x, 16.0 / 9.0 * y, 1.0), (x, y)
-        return cls(focal_px or _FOCAL_OVER_WIDTH * longer, middle, focal_px is not None)
+        return cls(focal_px or FOCAL_OVER_WIDTH * longer, middle, focal_px is not None)
 
 
 @dataclass(frozen=True)

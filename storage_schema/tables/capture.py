@@ -157,8 +157,8 @@ CAMERA_MOTIONS = Table(
         FRAME,
         array(
             "steady_from_image",
-            "Similarity from pixels of the frame to those of the steady image, in which reconstruction works",
-            axes={"row": 2, "column": 3},
+            "Homography from pixels of the frame to those of the steady image, in which reconstruction works",
+            axes={"row": 3, "column": 3},
             dtype=pa.float64(),
         ),
         array(

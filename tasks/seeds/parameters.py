@@ -8,7 +8,7 @@ from pasdedeux.sampling.prior import PriorSettings
 from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters, StageName
 
-SEEDS = StageName("seeds", 15)
+SEEDS = StageName("seeds", 16)
 
 NUM_CHOSEN, LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE = 2, 20, 1000
 """Seeds of each kind where a study does not say how many."""

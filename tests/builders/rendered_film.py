@@ -123,7 +123,7 @@ def render(
             focal_px=0.62 * height * distance / 1.7,
             image_size_px=size,
         )
-        camera, steady = camera if moves is None else _moved(camera, *moves[frame]), camera
+        camera, steady = camera if moves is None else moved(camera, *moves[frame]), camera
         cameras.append(camera)
         mean = np.zeros((height, width, 3), np.float32)
         depth = np.zeros((height, width), np.float32)
@@ -164,7 +164,8 @@ def hand_held(num_frames: int, *, shake_px: float = 0.0, pan_rad: float = 0.0, z
     return np.stack([pan + pan_rad * (time - 0.5), tilt, roll, zoom ** (time - 0.5)], axis=-1)
 
 
-def _moved(camera: PinholeCamera, pan: float, tilt: float, roll: float, zoom: float) -> PinholeCamera:
+def moved(camera: PinholeCamera, pan: float, tilt: float, roll: float, zoom: float) -> PinholeCamera:
+    """Return a camera that has turned by these angles, radians, and zoomed."""
     turned = rotmat_from_unitquat(unitquat_from_rotvec(np.array([[0.0, pan, 0.0], [tilt, 0.0, 0.0], [0.0, 0.0, roll]])))
     rotmat = turned[2] @ turned[1] @ turned[0] @ camera.camera_from_world_rotmat
     return replace(camera, camera_from_world_rotmat=rotmat, focal_px=zoom * camera.focal_px)

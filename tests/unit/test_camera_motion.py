@@ -126,10 +126,10 @@ def test_a_camera_that_sees_no_background_is_not_known() -> None:
 
 
 def test_the_motion_of_film_of_a_variable_rate_is_placed_with_its_keypoints(bodies: Bodies) -> None:
-    matrices = np.tile(np.eye(2, 3), (30, 1, 1))
+    matrices = np.tile(np.eye(3), (30, 1, 1))
     matrices[:, 0, 2] = np.arange(30.0) * 2
     time_s = np.cumsum(np.r_[0.0, np.where(np.arange(29) % 3 == 0, 0.08, 0.04)])
-    points = np.repeat(-matrices[:, None, :, 2], 17, axis=1) + 100.0
+    points = np.repeat(-matrices[:, None, :2, 2], 17, axis=1) + 100.0
     frames = AnnotatedFrames(
         "coco17", ("s",) * 30, np.arange(7, 37), np.zeros(30, dtype=int), points, np.ones((30, 17)), rate_hz=25.0
     )

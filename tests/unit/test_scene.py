@@ -88,7 +88,7 @@ def terms_at(carried: tuple[int, int] | None) -> tuple[list[SceneTerm], SeenPeop
     seen = SeenPeople(tuple(map(SeenPerson, tracks)))
     known = estimate.KnownScene(seen, PitchEstimate(pitch_rad, deviation_rad), [said], {}, None)
     assert known.sides()[0] == side
-    terms, start = known.terms(carried), known.start()
+    terms, start = known.terms(carried), next(known.starts())
     return terms, seen, start + rng.normal(0.0, 0.03, len(start)), side
 
 

@@ -1,0 +1,99 @@
+"""Measures what a moving camera costs: errors of poses and places before one that is still, shaken, panned, zoomed.
+
+`python -m benchmarks.camera_figures DATA` with the folder of real motion data; ten minutes on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.film_figures import say
+from pasdedeux.film.annotating import annotate_shot
+from pasdedeux.people.resolution import resolve_people
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.pairs import centre_pairs
+from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
+from pasdedeux.projections.sources import op14_from_working
+from pasdedeux.reconstruction.annotated import database_of_takes
+from pasdedeux.reconstruction.errors import root_centred_error_m
+from pasdedeux.reconstruction.moving_camera import subtract_motion
+from pasdedeux.reconstruction.sequence import SearchedDatabase, reconstruct_sequence
+from pasdedeux.reconstruction.tracks import tracks_of
+from pasdedeux.skeletons import BODY22
+from tasks.ingest.poses2d.run import track_columns
+from tests.builders.crowds import salsa_couple
+from tests.builders.rendered_film import Film, hand_held, moved, render, rows_of, salsa_bodies
+
+NUM_FRAMES, _KEYS_EVERY = 90, 10
+_KNOWN_TAKES = ("01", "03", "06", "10")
+"""Takes of the database; none of those that are filmed."""
+CLIPS = (("07", 300, 2.0), ("12", 100, -1.0), ("05", 200, 0.5))
+"""Take, first frame, and from where it is filmed."""
+CAMERAS = {
+    "still": {},
+    "shaken by 87 px": {"shake_px": 40.0},
+    "panned by 20 degrees": {"pan_rad": 0.35},
+    "zoomed by 1.4": {"zoom": 1.4},
+}
+
+
+def salsa_database(data: Path) -> SearchedDatabase:
+    """Return the database of the takes that are not filmed."""
+    known = np.concatenate([salsa_couple(data, take, rate_hz=8.0) for take in _KNOWN_TAKES])
+    poses = centre_and_face(retarget_proportions(known.reshape(-1, 14, 3))).poses_m.astype(np.float32)
+    is_real = np.ones(len(poses), dtype=bool)
+    return database_of_takes(Database(poses, is_real), centre_pairs(known), np.deg2rad([0.0, 10.0, 20.0]).tolist())
+
+
+def errors_m(film: Film, truth_m: np.ndarray, moves: np.ndarray, database: SearchedDatabase) -> tuple[float, float]:
+    """Return the mean error of joints about the mid-hip, and of the vector from one mid-hip to the other."""
+    size = film.images[0].shape[1::-1]
+    frames = sorted({*range(0, len(film.px), _KEYS_EVERY), len(film.px) - 1})
+    given = replace(rows_of(film, frames), image_size_px={"film": size})
+    seen = annotate_shot(given, iter(film.images), 0, len(film.px), is_key=True).frames
+    tracks = tracks_of(track_columns(resolve_people(seen)), "film")
+    people = reconstruct_sequence(subtract_motion(tracks, seen.camera_motion.get("film"))[0], database).people
+    # What is found is in the axes of the camera of the steady image.
+    first = film.cameras[0].camera_from_world_rotmat
+    turns = [moved(replace(film.cameras[0], camera_from_world_rotmat=np.eye(3)), *move) for move in moves]
+    rotmat = moved(
+        replace(film.cameras[0], camera_from_world_rotmat=turns[0].camera_from_world_rotmat.T @ first),
+        *np.median(moves, axis=0),
+    ).camera_from_world_rotmat
+    poses, roots = [], []
+    for person in people.methods[-1].people:
+        true = truth_m[person.track.frames, person.person_id] @ rotmat.T
+        poses.append(root_centred_error_m(person.positions_m, true).mean())
+        roots.append(person.root_m - mid_hip(true))
+    return float(np.mean(poses)), float(np.linalg.norm(roots[1] - roots[0], axis=-1).mean())
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    database = salsa_database(options.data)
+    found: dict[str, list[tuple[float, float]]] = {}
+    for take, start, yaw_rad in CLIPS:
+        bodies = salsa_bodies(options.data, take, slice(start, start + NUM_FRAMES))
+        truth_m = op14_from_working(bodies.body22_m, BODY22)
+        for camera, kind in CAMERAS.items():
+            moves = hand_held(NUM_FRAMES, **kind)
+            film = render(bodies, turn_rad=0.0, yaw_rad=yaw_rad, moves=moves, blur=1, seed=5, size=(960, 540))
+            pose, place = errors_m(film, truth_m, moves, database)
+            found.setdefault(camera, []).append((pose, place))
+            say(f"salsa {take}, {camera}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
+    for camera, both in found.items():
+        pose, place = 100.0 * np.mean(both, axis=0)
+        say(f"mean, {camera}: pose {pose:.1f} cm, place {place:.1f} cm")
+
+
+if __name__ == "__main__":
+    main()

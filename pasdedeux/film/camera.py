@@ -15,7 +15,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.film.tracking import Image
-from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH, CameraMotion, apply
+from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH, CameraMotion, apply, inverse
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 
 _LARGEST_PX = 640
@@ -84,7 +84,7 @@ class CameraFollower:
         size = np.array(self._small_px, dtype=np.float64)
         if self._num_lost > _MAX_LOST * len(turns):
             return None, True
-        steady = np.linalg.inv(self._homography(np.median(turns, axis=0))) if len(turns) else np.eye(3)
+        steady = inverse(self._homography(np.median(turns, axis=0))) if len(turns) else np.eye(3)
         matrices = np.array([steady @ self._homography(turn) for turn in turns]).reshape(-1, 3, 3)
         motion = CameraMotion(first_frame, matrices / matrices[:, 2:, 2:], self._small_px)
         corners = np.array([(0.0, 0.0), (size[0], 0.0), (0.0, size[1]), tuple(size)])
@@ -140,13 +140,15 @@ class CameraFollower:
         if homography is None or len(fitting) < enough:
             return None
         seen, wanted = moved[fitting].astype(np.float64), apply(self._homography(turn), corners.astype(np.float64))
-        found = least_squares(
-            lambda turn: (apply(self._homography(turn), seen) - wanted[fitting]).ravel(), self._turns[-1], method="lm"
-        ).x
+
+        def misfit_px(tried: Array) -> Array:
+            return (apply(self._homography(tried), seen) - wanted[fitting]).ravel()
+
+        found = np.asarray(least_squares(misfit_px, self._turns[-1], method="lm").x, dtype=np.float64)
         # Corners that people hide, or that were lost, are looked for where the image now has them.
-        places = apply(np.linalg.inv(self._homography(found)), wanted).astype(np.float32)
+        places = apply(inverse(self._homography(found)), wanted).astype(np.float32)
         self._reference = (image, corners, turn, places)
-        return np.asarray(found)
+        return found
 
     def _homography(self, turn: Array) -> Array:
         """Return the matrix (3, 3) that takes pixels of an image to those of the first one.

@@ -45,7 +45,7 @@ class CameraMotion:
 
     def image_px(self, frames: Integers, steady_px: Array) -> Array:
         """Return where points (frame, *batch, 2) of the steady image are in the images of these frames (frame,)."""
-        return apply(np.linalg.inv(self.at(frames)), steady_px)
+        return apply(inverse(self.at(frames)), steady_px)
 
     def at_times(self, numbers: Integers, places: Array) -> CameraMotion:
         """Return the motion at other moments: for each of these successive frames a place (frame,) among its own."""
@@ -108,3 +108,8 @@ def apply(matrices: Array, points_px: Array) -> Array:
     flat = points.reshape(*batch, -1, 2)
     moved = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1) @ matrices.swapaxes(-1, -2)
     return np.asarray((moved[..., :2] / moved[..., 2:]).reshape(points.shape))
+
+
+def inverse(matrices: Array) -> Array:
+    """Return the inverse homographies (*batch, 3, 3)."""
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64)

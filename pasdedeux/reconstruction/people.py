@@ -229,13 +229,65 @@ def _before_camera(
         elif camera_height_m is not None:
             people = tuple(sized_by_height(track, camera, camera_height_m) for track in people)
         people = sized_by_stature(people, options.statures_m, has_one_size=method is not Method.NEAREST)
-        origin_m = floor_offset(people, camera)
-        made.append(_embodied(method.value, people, origin_m, database, camera))
-        if options.has_clean_up and method is list(by_method)[-1]:
-            people = tuple(clean_reconstructions(people, origin_m, camera))
-            made.append(_embodied(f"{method.value}_clean", people, origin_m, database, camera))
+        is_cleaned = options.has_clean_up and method is list(by_method)[-1]
+        made += _finished(method.value, people, database, camera, is_cleaned=is_cleaned)
     motions = _motions(made[-1]) if made else {}
     return ReconstructedPeople(tuple(made), motions, skipped, pitch, scene, tuple(doubts), otherwise, has_stature)
+
+
+def place_people(
+    first: ReconstructedPeople,
+    people: Sequence[ReconstructedTrack],
+    pitch: PitchEstimate,
+    lens_factor: float,
+    database: Database,
+    options: SequenceOptions,
+) -> ReconstructedPeople:
+    """Return people whom other cameras see as well, at the places and in the poses that all cameras tell.
+
+    Args:
+        first: The people as the first camera alone tells them; there is a method and a scene.
+        people: Those of them that others see, with the poses of all, first camera's axes.
+        pitch: Pitch of the first camera.
+        lens_factor: Its focal length over the assumed one.
+        database: Poses that bodies are completed from.
+        options: Clean-up.
+    """
+    assert first.scene is not None
+    camera, name = replace(database.camera, pitch_rad=pitch.pitch_rad), first.methods[-1].name
+    made = _finished(name, tuple(map(hold_hips, people)), database, camera, is_cleaned=options.has_clean_up)
+    shown = {person.person_id for person in people}
+    skipped = dict.fromkeys(first.motions.keys() - shown, "no other camera shows this person")
+    scene = replace(
+        first.scene, pitch_rad=pitch.pitch_rad, pitch_deviation_rad=pitch.deviation_rad, lens_factor=lens_factor
+    )
+    return replace(
+        first,
+        methods=tuple(made),
+        motions=_motions(made[-1]),
+        skipped={**first.skipped, **skipped},
+        pitch=pitch,
+        scene=scene,
+        doubts=(),
+        otherwise={},
+    )
+
+
+def _finished(
+    name: str,
+    people: tuple[ReconstructedTrack, ...],
+    database: Database,
+    camera: DatabaseCamera,
+    *,
+    is_cleaned: bool,
+) -> list[MethodMotions]:
+    """Return the motions of a method with bodies, and what the clean-up makes of them."""
+    origin_m = floor_offset(people, camera)
+    made = [_embodied(name, people, origin_m, database, camera)]
+    if is_cleaned:
+        people = tuple(clean_reconstructions(people, origin_m, camera))
+        made.append(_embodied(f"{name}_clean", people, origin_m, database, camera))
+    return made
 
 
 def _match(

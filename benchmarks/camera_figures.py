@@ -1,6 +1,6 @@
-"""Measures what a moving camera costs: errors of poses and places before one that is still, shaken, panned, zoomed.
+"""Measures errors of poses and places before a camera that moves, and before one, two and three cameras; not a test.
 
-`python -m benchmarks.camera_figures DATA` with the folder of real motion data; ten minutes on one core.
+`python -m benchmarks.camera_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 
 from benchmarks.film_figures import say
 from pasdedeux.film.annotating import annotate_shot
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.people.resolution import resolve_people
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
@@ -22,10 +24,15 @@ from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.annotated import database_of_takes
 from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.moving_camera import subtract_motion
+from pasdedeux.reconstruction.people import SequenceOptions
+from pasdedeux.reconstruction.reconstruct import Method
 from pasdedeux.reconstruction.sequence import SearchedDatabase, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import tracks_of
-from pasdedeux.skeletons import BODY22
+from pasdedeux.reconstruction.views.together import reconstruct_views
+from pasdedeux.skeletons import BODY22, OP14
 from tasks.ingest.poses2d.run import track_columns
+from tests.builders.cameras_of_a_take import STEPS, see
+from tests.builders.cameras_of_a_take import errors_m as seen_errors_m
 from tests.builders.crowds import salsa_couple
 from tests.builders.rendered_film import Film, hand_held, moved, render, rows_of, salsa_bodies
 
@@ -40,6 +47,14 @@ CAMERAS = {
     "panned by 20 degrees": {"pan_rad": 0.35},
     "zoomed by 1.4": {"zoom": 1.4},
 }
+_VIEWS = {
+    "one camera": (),
+    "two cameras, 60 degrees": (60.0,),
+    "two cameras, 90 degrees": (90.0,),
+    "two cameras, 120 degrees": (120.0,),
+    "three cameras": (90.0, -100.0),
+}
+"""By how much the others are turned against the first."""
 
 
 def salsa_database(data: Path) -> SearchedDatabase:
@@ -73,15 +88,46 @@ def errors_m(film: Film, truth_m: np.ndarray, moves: np.ndarray, database: Searc
     return float(np.mean(poses)), float(np.linalg.norm(roots[1] - roots[0], axis=-1).mean())
 
 
+def views(data: Path, database: SearchedDatabase) -> dict[str, list[tuple[float, float]]]:
+    """Return errors of poses and places, metres, by cameras: keypoints of 2 px of noise, lenses and places unknown."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for take, start, yaw_rad in CLIPS:
+        first = start * STEPS - 60
+        bodies = salsa_bodies(data, take, slice(first, first + 120 + STEPS * NUM_FRAMES), rate_hz=30.0 * STEPS)
+        truth_m = op14_from_working(bodies.body22_m, BODY22)
+        stature_m = body_height_m(OP14, np.median(bone_lengths(OP14, truth_m), axis=0))
+        yaw_deg = float(np.rad2deg(yaw_rad))
+        for name, others in _VIEWS.items():
+            cameras = see(truth_m, (yaw_deg, *(yaw_deg + other for other in others)), num_frames=NUM_FRAMES)
+            tracks = [camera.tracks for camera in cameras]
+            if others:
+                made = {name: reconstruct_views(tracks, database).people.methods[-1]}
+                stated = SequenceOptions(statures_m=dict(enumerate(stature_m.tolist())))
+                made[f"{name}, statures stated"] = reconstruct_views(tracks, database, options=stated).people.methods[
+                    -1
+                ]
+            else:
+                both = SequenceOptions((Method.NEAREST, Method.FIT))
+                methods = reconstruct_sequence(tracks[0], database, options=both).people.methods
+                made = {"one camera, nearest match": methods[0], name: methods[-1]}
+            for key, method in made.items():
+                pose, place = seen_errors_m(method.people, truth_m, cameras[0])
+                found.setdefault(key, []).append((pose, place))
+                say(f"salsa {take}, {key}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
+    return found
+
+
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
+    parser.add_argument("--part", choices=("moving", "views"), action="append")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     database = salsa_database(options.data)
-    found: dict[str, list[tuple[float, float]]] = {}
-    for take, start, yaw_rad in CLIPS:
+    parts = options.part or ("moving", "views")
+    found = views(options.data, database) if "views" in parts else {}
+    for take, start, yaw_rad in CLIPS if "moving" in parts else ():
         bodies = salsa_bodies(options.data, take, slice(start, start + NUM_FRAMES))
         truth_m = op14_from_working(bodies.body22_m, BODY22)
         for camera, kind in CAMERAS.items():

@@ -9,26 +9,26 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
-from flows.console.annotate import DetectionsOption, DetectOption, KeysOption, film_source
+from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
+from flows.console.cameras import find_calibration, find_video, found_in, read_camera, steady_tracks
 from flows.console.context import StoreOption, app, echo, key_option, say
 from flows.console.display import Steps, format_table, make_listener
-from flows.console.inputs import find_database, find_source, read_statures
+from flows.console.inputs import find_database, read_statures
 from flows.console.live import follow_video
 from flows.exports.reconstructions import write_reconstruction
 from pasdedeux.errors import InputError
+from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.live.person import LiveOptions
-from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.people import SequenceOptions
-from pasdedeux.reconstruction.sequence import StatedCamera, reconstruct_sequence
-from pasdedeux.reconstruction.tracks import tracks_of
-from tasks.ingest.film.detector_files import fetched_detectors
+from pasdedeux.reconstruction.sequence import Reconstruction, StatedCamera, reconstruct_sequence
+from pasdedeux.reconstruction.tracks import Track
+from pasdedeux.reconstruction.views.together import reconstruct_views
 from tasks.ingest.film.parameters import FilmOptions
-from tasks.ingest.film.readers import is_film
-from tasks.ingest.film.run import FoundFilm, find_videos
+from tasks.ingest.film.run import FoundFilm
 from tasks.ingest.poses2d.parameters import AnnotationOptions
-from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
-from tasks.ingest.poses2d.run import stated_of_nobody, track_columns
+from tasks.ingest.poses2d.resolution import FoundAnnotations
+from tasks.ingest.poses2d.run import stated_of_nobody
 
 _HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")
 """Columns of `WrittenReconstruction.rows`."""
@@ -40,6 +40,12 @@ def reconstruct(
     keys: KeysOption = None,
     detections: DetectionsOption = None,
     detect: DetectOption = None,
+    camera: Annotated[
+        list[Path] | None, Option(metavar="FILE", help="The same take from another camera; repeatable.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, Option(metavar="TOML", help="Where the cameras are, in their order: calib.toml of Pose2Sim.")
+    ] = None,
     database: Annotated[
         str | None, Option(metavar="REF", help="Projections; default: the only ones in the store.")
     ] = None,
@@ -73,26 +79,27 @@ def reconstruct(
       pasdedeux reconstruct walk/ --out out/                              BVH and npz for each person, a GLB, a page
       pasdedeux reconstruct walk/ --database projections:duets --follow   a JSON line per person and frame, live
       pasdedeux reconstruct dance.mp4 --out out/      film, by the detector that was fetched; also --keys, --detect
+      pasdedeux reconstruct front.json --camera side.json --out out/      a take that two cameras saw
 
     Image size, rate and focal length come from the files if stated there, else from --set with the keys of a study
     (image_size_px, rate_hz, focal_px or fov_deg).  --set people_file=FILE overrides identities with an edited copy of
     the table that was written.  The camera pitch is estimated (with --follow: 10 degrees).  --height or --stature fixes
     the scale (with --follow, --stature).
 
+    With --camera, clocks are found by how people move, and cameras by the people themselves, or by --calibration; --set
+    is of all cameras, --pitch, --height and --stature are of the first.
+
     With --follow, each pose is written --lag frames after its image; the first two seconds of a person are written when
     they are over.  It ends with Ctrl-C, when a file STOP appears in the folder, or after --idle seconds without a new
     file; pending poses and a summary of the delays are then written.
     """
-    has_source = bool(keys or detections or detect)
-    video = (
-        film_source(path, settings or (), keys, detections, detect)
-        if has_source or (is_film(path) and fetched_detectors())
-        else find_source(AnnotationOptions, path, settings or ())
-    )
+    video = find_video(path, settings or (), keys, detections, detect)
+    if calibration and not camera:
+        raise InputError("--calibration is of several cameras: name the others by --camera")
     if follow:
         if isinstance(video, FilmOptions):
             raise InputError("--follow reads OpenPose files, not film")
-        whole_only = {"--height": height, "--person": person}
+        whole_only = {"--height": height, "--person": person, "--camera": camera}
         given = [name for name, value in whole_only.items() if value] + ["--units"] * (units != "cm")
         footage = {"rate_hz", "image_size_px", "focal_px", "fov_deg", "statures_m"}
         given += sorted(f"--set {key}" for key in video.model_fields_set - {"id", "path"} - footage)
@@ -101,11 +108,14 @@ def reconstruct(
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
+    others = [read_camera(other, settings or (), detect) for other in camera or ()]
     _reconstruct_video(
         video,
         database,
         store,
         out or Path(),
+        others=others,
+        calibration=find_calibration(calibration),
         units=units,
         pitch_deg=pitch,
         camera_height_m=height,
@@ -121,6 +131,8 @@ def _reconstruct_video(
     store: Path,
     out: Path,
     *,
+    others: Sequence[Sequence[Track]],
+    calibration: Sequence[CalibratedCamera],
     units: str,
     pitch_deg: float | None,
     camera_height_m: float | None,
@@ -135,7 +147,7 @@ def _reconstruct_video(
             or nobody who can be reconstructed.
     """
     named_m = dict(video.statures_m) | read_statures(statures, [])
-    videos = find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
+    videos = found_in(video)
     searched = find_database(database, store, with_pairs=True)
     camera = StatedCamera(
         None if pitch_deg is None else math.radians(pitch_deg), camera_height_m or video.camera_height_m
@@ -143,14 +155,8 @@ def _reconstruct_video(
     listener = make_listener()
 
     def reconstruct(source: FoundAnnotations, resolved: ResolvedPeople, sequence: SequencePeople) -> None:
-        if sequence.why_not_followed:
-            raise InputError(sequence.why_not_followed)
         motion = resolved.frames.camera_motion.get(sequence.sequence_id)
-        tracks, is_steadied = subtract_motion(tracks_of(track_columns(resolved), sequence.sequence_id), motion)
-        if motion is not None:
-            echo(f"{sequence.sequence_id}: {motion.in_words(is_subtracted=is_steadied)}", err=True)
-        for doubt in resolved.frames.doubts:
-            echo(f"{sequence.sequence_id}: {doubt}", err=True)
+        tracks, is_steadied = steady_tracks(resolved, sequence)
         known = [track.person_id for track in tracks]
         if unknown := sorted(set(person_ids) - set(known)):
             raise InputError(f"the input has no person {unknown[0]}; people: {', '.join(map(str, known)) or 'none'}")
@@ -161,14 +167,19 @@ def _reconstruct_video(
         stated_m = {
             name: stature for name, stature in (read_statures(statures, shown) | named_m).items() if name in shown
         }
-        reconstruction = reconstruct_sequence(
-            tracks,
-            searched,
-            camera,
-            SequenceOptions(has_clean_up=has_clean_up, statures_m=stated_m),
-            sequence_id=sequence.sequence_id,
-            on_step=Steps(listener, 1 + 2 * len(tracks)),
-        )
+        options = SequenceOptions(has_clean_up=has_clean_up, statures_m=stated_m)
+        if others:
+            on_camera = Steps(listener, 1 + len(others))
+            together = reconstruct_views(
+                [tracks, *others], searched, camera, options, calibration=calibration, on_camera=on_camera
+            )
+            echo(f"{sequence.sequence_id}: {together.in_words()}")
+            reconstruction = Reconstruction(together.people, together.judged)
+        else:
+            on_step = Steps(listener, 1 + 2 * len(tracks))
+            reconstruction = reconstruct_sequence(
+                tracks, searched, camera, options, sequence_id=sequence.sequence_id, on_step=on_step
+            )
         if not reconstruction.people.methods:
             raise InputError(f"nobody can be reconstructed: {next(iter(reconstruction.people.skipped.values()))}")
         found_film = source if isinstance(source, FoundFilm) else None
@@ -196,6 +207,8 @@ def _reconstruct_video(
                 failed.append(error)
                 continue
             known |= set(resolved.frames.person_id.tolist())
+            if others and len(resolved.sequences) != 1:
+                raise InputError(f"{len(resolved.sequences)} videos are in it; with --camera, name one of each camera")
             for sequence in resolved.sequences:
                 try:
                     listener.note(f"{sequence.sequence_id}: looking for poses, camera and sizes")

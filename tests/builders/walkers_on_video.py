@@ -34,13 +34,13 @@ def openpose(points: np.ndarray) -> str:
     return json.dumps({"version": 1.3, "people": people})
 
 
-def write_walkers(folder: Path, num_frames: int = FRAMES) -> Path:
-    """Write OpenPose files of two walkers, listed in changing order."""
+def write_walkers(folder: Path, num_frames: int = FRAMES, *, yaw_rad: float = 0.3) -> Path:
+    """Write OpenPose files of two walkers, listed in changing order, seen from a side."""
     worlds = np.stack(
         [walk(num_frames, seed=50 + i, rate_hz=30.0) + np.array([1.4 * i, 0.0, 0.0]) for i in (0, 1)], axis=1
     )
     camera = look_at_camera(
-        mid_hip(worlds).mean(axis=(0, 1)), distance_m=5.0, yaw_rad=0.3, pitch_rad=0.1, focal_px=1400.0
+        mid_hip(worlds).mean(axis=(0, 1)), distance_m=5.0, yaw_rad=yaw_rad, pitch_rad=0.1, focal_px=1400.0
     )
     for frame, points in enumerate(camera.project(worlds).px):
         listed = points[::-1] if frame % 2 else points

@@ -1,234 +1,215 @@
-"""View estimation of annotated pairs, and the density of views."""
+"""A take that several cameras saw: clocks, people and cameras are found, and poses fitted to all; calibrations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from pasdedeux.cameras import view_density
-from pasdedeux.cameras.frames import angle_between_directions, true_direction
-from pasdedeux.cameras.orthographic import metres_from_pixels
-from pasdedeux.cameras.torso import TORSO_INDICES
-from pasdedeux.cameras.view_density import draw_views
-from pasdedeux.cameras.views import DEPTH_RULES, ViewEstimates, ViewOptions, estimate_views, pair_in_metres
-from pasdedeux.cameras.virtual_video import frame_take
-from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.skeletons import PAIR17
-from tests.builders.poses import BASIS, dancers, direction_of_angles, filmed, standing
-
-
-@dataclass(frozen=True)
-class ViewAccuracy:
-    """Angles in radians between estimated and true views, one per annotation that has an estimate, (m,).
-
-    `best` is the likeliest hypothesis, `nearest` the best of all hypotheses (what weighing could reach at most), and
-    `baseline` the mean of the true views, given for everything: an estimate worse than that is worth nothing.
-    """
-
-    best_rad: np.ndarray
-    nearest_rad: np.ndarray
-    baseline_rad: np.ndarray
+from flows.console.app import run_command_line
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.errors import InputError
+from pasdedeux.fitting.terms import Normal
+from pasdedeux.formats.calibration import CalibratedCamera, read_calibration
+from pasdedeux.formats.npz import read_npz
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.rotations import rotvec_from_unitquat, unitquat_from_rotmat
+from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.reconstruction.sequence import SearchedDatabase
+from pasdedeux.reconstruction.views.calibration import View, calibrate, meet
+from pasdedeux.reconstruction.views.clocks import Rising, match_cameras
+from pasdedeux.reconstruction.views.fit import RayTerm
+from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
+from pasdedeux.skeletons import OP14
+from pasdedeux.verdict import Level
+from tests.builders.cameras_of_a_take import SIZE_PX, Seen, database_of_duets, duet_m, errors_m, see
+from tests.builders.walkers_on_video import build_store, reference, write_walkers
 
 
-def view_accuracy(estimates: ViewEstimates, true_directions: np.ndarray) -> ViewAccuracy:
-    """Compare estimates with the true views (n, 3) of the same annotations, as `frames.true_direction` gives them."""
-    truth = normalise(np.asarray(true_directions, dtype=np.float64))
-    error = angle_between_directions(estimates.direction, truth[estimates.annotation])
-    nearest = np.full(len(truth), np.inf)
-    np.minimum.at(nearest, estimates.annotation, error)
-    best = np.flatnonzero(estimates.hypothesis == 0)
-    shown = estimates.annotation[best]
-    mean = normalise(truth.mean(axis=0)) if len(truth) else np.zeros(3)
-    return ViewAccuracy(
-        best_rad=error[best],
-        nearest_rad=nearest[shown],
-        baseline_rad=angle_between_directions(np.broadcast_to(mean, (len(shown), 3)), truth[shown]),
+@pytest.fixture(scope="module")
+def truth_m() -> np.ndarray:
+    return duet_m("waltz")
+
+
+@pytest.fixture(scope="module")
+def database() -> SearchedDatabase:
+    return database_of_duets("push_hands", "hug", "judo")
+
+
+@pytest.fixture(scope="module")
+def seen(truth_m: np.ndarray) -> list[Seen]:
+    return see(truth_m, (20.0, 100.0))
+
+
+@pytest.fixture(scope="module")
+def together(seen: list[Seen], database: SearchedDatabase) -> SeenTogether:
+    return reconstruct_views([one.tracks for one in seen], database)
+
+
+def calibrated(camera: PinholeCamera) -> CalibratedCamera:
+    """Return a camera by OpenCV's conventions."""
+    rotmat = np.diag([1.0, -1.0, -1.0]) @ camera.camera_from_world_rotmat
+    (cx, cy), focal = camera.principal_point_px, camera.focal_px
+    return CalibratedCamera(
+        "cam",
+        np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]]),
+        np.zeros(5),
+        rotvec_from_unitquat(unitquat_from_rotmat(rotmat)),
+        -rotmat @ camera.position_m,
+        SIZE_PX,
     )
 
 
-def test_views_of_filmed_pairs_are_found_and_apparent_size_is_what_finds_them() -> None:
-    px, truth = filmed(dancers(0, 300), 1)
-    accuracy = view_accuracy(estimate_views(px, BASIS), truth)
-    assert np.rad2deg(np.median(accuracy.best_rad)) < 8
-    assert (accuracy.nearest_rad <= accuracy.best_rad).all()
-    assert np.median(accuracy.baseline_rad) > np.deg2rad(60)
-    blind = view_accuracy(estimate_views(px, BASIS, options=ViewOptions(distance_m=None)), truth)
-    assert np.median(blind.best_rad) > 2 * np.median(accuracy.best_rad)
+def test_two_unknown_cameras_tell_poses_and_places(
+    together: SeenTogether, seen: list[Seen], truth_m: np.ndarray
+) -> None:
+    pose_m, place_m = errors_m(together.people.methods[-1].people, truth_m, seen[0])
+    assert pose_m < 0.03
+    assert place_m < 0.04
+    # The clock is right to half a frame, the people are who they are, and the camera is where it is.
+    assert abs(together.views[1].offset_s - seen[1].ahead_s) < 0.5 / 30.0
+    first, second = (one.camera for one in seen)
+    turned = second.camera_from_world_rotmat @ first.camera_from_world_rotmat.T
+    assert np.arccos(np.clip((np.trace(together.views[1].rotmat @ turned.T) - 1.0) / 2.0, -1.0, 1.0)) < 0.06
+    assert together.off_m < 0.02
+    assert "2 cameras: joints are " in together.in_words()
 
 
-def test_trust_is_higher_where_the_error_is_lower() -> None:
-    px, truth = filmed(dancers(1, 400), 2)
-    px = px + np.random.default_rng(3).normal(scale=3.0, size=px.shape)
-    estimates = estimate_views(px, BASIS)
-    error = view_accuracy(estimates, truth).best_rad
-    trust = estimates.trust[estimates.annotation[np.flatnonzero(estimates.hypothesis == 0)]]
-    is_trusted = trust > np.median(trust)
-    assert np.median(error[is_trusted]) < np.median(error[~is_trusted])
-    assert trust.min() > 0
-    assert trust.max() <= 1
+def test_bones_keep_their_lengths_before_several_cameras(together: SeenTogether) -> None:
+    lengths = bone_lengths(OP14, together.people.methods[0].people[0].positions_m)
+    legs = [joint for leg in OP14.legs for joint in leg[1:]]
+    assert np.ptp(lengths[:, legs], axis=0).max() < 1e-6
 
 
-def test_hypotheses_are_sorted_weighted_and_unit() -> None:
-    px, _ = filmed(dancers(2, 40), 4)
-    estimates = estimate_views(px, BASIS)
-    np.testing.assert_allclose(np.bincount(estimates.annotation, estimates.weight), 1.0)
-    np.testing.assert_allclose(np.linalg.norm(estimates.direction, axis=-1), 1.0)
-    for annotation in range(40):
-        mine = estimates.annotation == annotation
-        np.testing.assert_array_equal(estimates.hypothesis[mine], np.arange(mine.sum()))
-        assert (np.diff(estimates.weight[mine]) <= 0).all()
-    assert (np.diff(estimates.annotation) >= 0).all()
-    assert set(estimates.depth_rule) <= set(range(len(DEPTH_RULES)))
-    np.testing.assert_allclose(direction_of_angles(*estimates.angles()), estimates.direction, atol=1e-9)
-    np.testing.assert_array_equal(estimates.depth_rule[estimates.hypothesis == 0], DEPTH_RULES.index("size"))
+def test_what_is_expected_of_several_cameras_holds(
+    together: SeenTogether, seen: list[Seen], truth_m: np.ndarray
+) -> None:
+    pose_m, _ = errors_m(together.people.methods[-1].people, truth_m, seen[0])
+    expected = [one.expected_error_m for one in together.judged.people.values()]
+    assert 0.5 * pose_m < np.mean(expected) < 2.0 * pose_m
+    assert {one.verdict.level for one in together.judged.people.values()} == {Level.PASS}
+    apart = replace(together, off_m=0.12)
+    assert {verdict.level for verdict in apart.judged.verdicts.values()} == {Level.WARN}
 
 
-def test_swapping_the_people_swaps_the_view() -> None:
-    px, _ = filmed(dancers(3, 60), 5)
-    one, other = estimate_views(px, BASIS), estimate_views(px[:, ::-1], BASIS)
-    np.testing.assert_allclose(one.size_ratio * other.size_ratio, 1.0)
-    # i and k turn round.
-    turned = other.direction[np.flatnonzero(other.hypothesis == 0)] * [-1.0, 1.0, -1.0]
-    assert angle_between_directions(one.direction[np.flatnonzero(one.hypothesis == 0)], turned).max() < 1e-6
-    np.testing.assert_allclose(one.trust, other.trust, atol=1e-9)
+def test_calibrated_cameras_give_true_sizes(seen: list[Seen], database: SearchedDatabase, truth_m: np.ndarray) -> None:
+    cameras = [calibrated(one.camera) for one in seen]
+    found = reconstruct_views([one.tracks for one in seen], database, calibration=cameras)
+    pose_m, place_m = errors_m(found.people.methods[-1].people, truth_m, seen[0])
+    assert pose_m < 0.02
+    assert place_m < 0.02
+    with pytest.raises(InputError, match="the calibration has 1 cameras, and 2 are given"):
+        reconstruct_views([one.tracks for one in seen], database, calibration=cameras[:1])
 
 
-def test_a_smaller_partner_is_not_taken_for_a_farther_one() -> None:
-    pairs = dancers(4, 300)
-    root = pairs[:, 1, :1].copy()
-    pairs[:, 1] = root + 0.85 * (pairs[:, 1] - root)
-    px, truth = filmed(pairs, 6)
-    estimates = estimate_views(px, BASIS)
-    assert estimates.size_ratio == pytest.approx(1 / 0.85, rel=0.04)
-    assert np.rad2deg(np.median(view_accuracy(estimates, truth).best_rad)) < 8
-    scale = estimates.metres_per_pixel[np.flatnonzero(estimates.hypothesis == 0)]
-    heights = np.linalg.norm(np.diff(px[:, :, [0, 3]], axis=2), axis=-1)[..., 0] * scale
-    assert np.median(heights[:, 1] / heights[:, 0]) == pytest.approx(0.85, rel=0.05)
+def test_exact_rays_give_back_cameras_and_joints(truth_m: np.ndarray) -> None:
+    cameras = [one.camera for one in see(truth_m, (0.0, 70.0))]
+    world_m = truth_m[::16]
+    views = []
+    for camera in cameras:
+        lens = see(truth_m, (0.0,))[0].tracks[0].lens
+        rotmat = camera.camera_from_world_rotmat @ cameras[0].camera_from_world_rotmat.T
+        px = camera.project(world_m).px
+        place_m = cameras[0].camera_from_world(camera.position_m)
+        lens = replace(lens, focal_px=camera.focal_px, is_known=True)
+        views.append(View(lens, rotmat, place_m, 0.0, px, np.zeros(px.shape), np.ones(px.shape[:-1])))
+    true_m = cameras[0].camera_from_world(world_m)
+    np.testing.assert_allclose(meet(views), true_m, atol=1e-4)
+    wrong = replace(views[1], position_m=views[1].position_m + np.array([0.1, -0.1, 0.1]))
+    legs = bone_lengths(OP14, true_m)
+    found = calibrate([views[0], wrong], body_height_m(OP14, np.median(legs, axis=0)), 30.0)
+    np.testing.assert_allclose(found[1].position_m, views[1].position_m, atol=0.02)
 
 
-def test_one_camera_alone_does_not_make_the_nearer_person_the_larger() -> None:
-    pose = standing()
-    pairs = np.stack([np.stack([pose, pose + np.array([0.3, 0, -0.5 + 0.01 * step])]) for step in range(60)])
-    view = frame_take(pairs, pairs[:, :, 0], distance_m=4.0, yaw_rad=0.0, pitch_rad=0.1)
-    px = view.camera.project(pairs).px
-    truth = true_direction(pairs, view.camera)
-    one = estimate_views(px, BASIS, camera_index=np.zeros(60, dtype=np.int64))
-    assert one.size_ratio == pytest.approx(1.0, abs=0.02)
-    assert np.rad2deg(np.median(view_accuracy(one, truth).best_rad)) < 12
-    assert abs(estimate_views(px, BASIS).size_ratio - 1.0) > 0.04
+def test_people_who_move_otherwise_are_not_the_same() -> None:
+    rng = np.random.default_rng(0)
+    first, second = ({0: Rising(0.0, rng.standard_normal((90, 14)), np.ones(90, dtype=bool))} for _ in range(2))
+    with pytest.raises(InputError, match="do not show the same people at the same time"):
+        match_cameras(first, second, 30.0)
+    late = {4: replace(first[0], first_s=7.0, speed_m_s=first[0].speed_m_s[15:], is_known=np.ones(75, dtype=bool))}
+    same = match_cameras(first, late, 30.0)
+    assert same.person_ids == {4: 0}
+    assert same.offset_s == pytest.approx(6.5, abs=0.01)
 
 
-def test_annotations_without_a_torso_have_no_view_and_no_trust() -> None:
-    px, _ = filmed(dancers(5, 6), 7)
-    px[2, 1] = np.nan
-    px[4, 0, PAIR17.indices(("neck", "left_shoulder", "right_shoulder"))] = np.nan
-    estimates = estimate_views(px, BASIS)
-    np.testing.assert_array_equal(estimates.is_lifted, [True, True, False, True, False, True])
-    assert set(estimates.annotation) == {0, 1, 3, 5}
-    assert (estimates.trust[[2, 4]] == 0).all()
-    nothing = estimate_views(np.full((3, 2, 17, 2), np.nan), BASIS)
-    assert len(nothing.weight) == 0
-    assert (nothing.trust == 0).all()
-    assert len(estimate_views(np.zeros((0, 2, 17, 2)), BASIS).weight) == 0
-
-
-def test_with_a_hidden_torso_joint_of_each_person_a_hypothesis_stays_as_near_and_the_likeliest_loses_some() -> None:
-    px, truth = filmed(dancers(11, 300), 12)
-    some = px.copy()
-    rng = np.random.default_rng(5)
-    for pair in some:
-        for person in pair:
-            person[rng.choice(TORSO_INDICES)] = np.nan
-    whole, part = (view_accuracy(estimate_views(points, BASIS), truth) for points in (px, some))
-    assert len(part.best_rad) == 300
-    assert np.median(part.nearest_rad) < 1.4 * np.median(whole.nearest_rad)
-    # Without the neck or a shoulder the scale of a person, and with it who is nearer, is known less well.
-    assert np.rad2deg(np.median(part.best_rad)) < 20
-    assert np.median(part.best_rad) < 0.3 * np.median(part.baseline_rad)
-
-
-def test_a_joint_without_confidence_does_not_count() -> None:
-    px, _ = filmed(dancers(6, 10), 8)
-    neck = PAIR17.index("neck")
-    confidence = np.ones(px.shape[:-1])
-    confidence[:, :, neck] = 0.0
-    spoiled = px.copy()
-    spoiled[:, :, neck] += 500.0
-    missing = px.copy()
-    missing[:, :, neck] = np.nan
-    one, other = estimate_views(spoiled, BASIS, confidence=confidence), estimate_views(missing, BASIS)
-    # Steps of the fit are accepted by their cost, whose rounding (1e-16) hides differences of its square root.
-    np.testing.assert_allclose(one.direction, other.direction, atol=1e-6)
-
-
-def test_hugging_people_get_contact_hypotheses_when_the_distance_is_unknown() -> None:
-    pose = standing()
-    pair = np.stack([pose, pose * [-1, 1, -1] + [0, 0, 0.35]])
-    view = frame_take(pair, pair[:, 0], distance_m=4.0, yaw_rad=0.1, pitch_rad=0.1)
-    estimates = estimate_views(view.camera.project(pair).px[None], BASIS, options=ViewOptions(distance_m=None))
-    rules = {DEPTH_RULES[rule] for rule in estimates.depth_rule}
-    assert {"contact_near", "contact_far"} <= rules
-    assert "size" not in rules
-    is_contact = [DEPTH_RULES[rule].startswith("contact") for rule in estimates.depth_rule]
-    assert (np.abs(estimates.root_depth_m[is_contact]) > 0.3).all()
-    nearest = view_accuracy(estimates, true_direction(pair, view.camera)[None]).nearest_rad
-    assert np.rad2deg(nearest) < 12
-
-
-def test_pairs_in_metres_keep_the_own_scale_of_each_person_and_the_mean_between_them() -> None:
-    rng = np.random.default_rng(9)
-    px = rng.uniform(0, 500, size=(4, 2, 17, 2))
-    same = pair_in_metres(px, np.full((4, 2), 0.01))
-    middle = px[:, :, 0].mean(axis=1)
-    np.testing.assert_allclose(same.reshape(4, -1, 2), metres_from_pixels(px.reshape(4, -1, 2), 0.01, middle))
-    scaled = pair_in_metres(px, np.array([[0.01, 0.02]] * 4))
-    np.testing.assert_allclose(scaled[:, :, 0].mean(axis=1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(scaled[:, 1] - scaled[:, 1, :1], 2 * (same[:, 1] - same[:, 1, :1]))
-    px[0, 0, 0] = np.nan
-    without = pair_in_metres(px, np.full((4, 2), 0.01))
-    assert np.isnan(without[0, 0, 0]).all()
-    assert np.isfinite(without[0, 0, 1:]).all()
-    np.testing.assert_allclose(without[0, 1] - without[0, 0, 5], same[0, 1] - same[0, 0, 5])
-
-
-def test_bad_options_are_refused() -> None:
-    with pytest.raises(ValidationError, match="distance_m"):
-        ViewOptions(distance_m=-1.0)
-    with pytest.raises(ValidationError, match="lean_deviation_deg"):
-        ViewOptions(lean_deviation_deg=0.0)
-
-
-def _sphere(count: int) -> np.ndarray:
-    """Nearly even points on the sphere (a Fibonacci lattice)."""
-    height = 1 - 2 * (np.arange(count) + 0.5) / count
-    turn = np.pi * (1 + 5**0.5) * np.arange(count)
-    level = np.sqrt(1 - height**2)
-    return np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=-1)
-
-
-def density_at(directions: np.ndarray, weights: np.ndarray, deviation_rad: float, views: np.ndarray) -> np.ndarray:
-    """Von Mises-Fisher densities round each direction, weighted, per steradian."""
-    kappa = 1.0 / deviation_rad**2
-    norm = kappa / (2.0 * np.pi * -np.expm1(-2.0 * kappa))
-    return norm * np.exp(kappa * (views @ directions.T - 1.0)) @ (weights / weights.sum())
-
-
-def test_drawn_views_follow_the_density(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gradient_of_rays_agrees_with_finite_differences() -> None:
     rng = np.random.default_rng(1)
-    centres = direction_of_angles(np.array([0.3, 2.0, -1.0]), np.array([1.2, 1.6, 1.9]))
-    weights = np.array([1.0, 2.0, 3.0])
-    monkeypatch.setattr(view_density, "VIEW_DEVIATION_RAD", 0.25)
-    draws = draw_views(rng, centres, weights, 20000)
-    np.testing.assert_allclose(np.linalg.norm(draws, axis=-1), 1.0)
-    grid = _sphere(40000)
-    share = density_at(centres, weights, 0.25, grid)
-    share /= share.sum()
-    for axis in np.eye(3):
-        for sign in (1.0, -1.0):
-            expected = share[(grid @ axis * sign) > 0.5].sum()
-            # 20,000 draws: six standard deviations of a share are below 0.022.
-            assert ((draws @ axis * sign) > 0.5).mean() == pytest.approx(expected, abs=0.022)
-    np.testing.assert_allclose(draws.mean(axis=0), share @ grid, atol=0.03)
+    rays = rng.standard_normal((3, 4, 3))
+    term = RayTerm(
+        rng.standard_normal(3), rays / np.linalg.norm(rays, axis=-1, keepdims=True), rng.uniform(0, 2, (3, 4))
+    )
+    positions, direction = rng.standard_normal((2, 3, 4, 3))
+    normal = Normal.zeros(3, 4)
+    term.add_gradient(positions, normal)
+    term.add_curvature(positions, normal)
+    step = 1e-6 * direction
+    slope = (term.energy(positions + step) - term.energy(positions - step)) / 2e-6
+    assert 2.0 * (normal.gradient * direction).sum() == pytest.approx(slope, rel=1e-6)
+    # It is quadratic: half the curvature along a direction is the energy of the direction alone.
+    bent = sum((weights * (direction * unit).sum(axis=-1) ** 2).sum() for _, _, weights, unit in normal.stencils)
+    away = term.energy(positions + direction) - term.energy(positions) - 2.0 * (normal.gradient * direction).sum()
+    assert bent == pytest.approx(away, rel=1e-9)
+
+
+_CALIBRATION = """
+[one]
+name = "front"
+size = [ 960.0, 540.0,]
+matrix = [ [ 800.0, 0.0, 480.0,], [ 0.0, 800.0, 270.0,], [ 0.0, 0.0, 1.0,],]
+distortions = [ 0.1, 0.0, 0.0, 0.0,]
+rotation = [ 0.0, 0.1, 0.0,]
+translation = [ 0.0, 1.0, SCALE,]
+[metadata]
+adjusted = false
+"""
+
+
+def test_calibrations_are_read_in_metres_and_millimetres() -> None:
+    (camera,) = read_calibration(_CALIBRATION.replace("SCALE", "4.5").encode())
+    np.testing.assert_allclose(camera.translation_m, [0.0, 1.0, 4.5])
+    assert camera.name == "front"
+    (small,) = read_calibration(_CALIBRATION.replace("SCALE", "4500").encode())
+    np.testing.assert_allclose(small.translation_m, [0.0, 0.001, 4.5])
+    px = np.array([[480.0, 270.0], [np.nan, np.nan], [900.0, 270.0]])
+    straight = camera.undistorted_px(px)
+    np.testing.assert_allclose(straight[:2], px[:2], atol=1e-6)
+    assert straight[2, 0] < 895.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[one", "the calibration is no TOML"),
+        ("[metadata]\nadjusted = false", "the calibration has no camera"),
+        (_CALIBRATION.replace("SCALE", "'far'"), "camera one of the calibration: translation must hold numbers"),
+        (_CALIBRATION.replace("SCALE", "1.0, 2.0"), r"translation must hold numbers of shape \(3,\)"),
+    ],
+)
+def test_bad_calibrations_are_named(text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        read_calibration(text.encode())
+
+
+def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store, out = build_store(tmp_path / "store"), tmp_path / "out"
+    folders = [tmp_path / name for name in ("front", "side")]
+    for folder, yaw_rad in zip(folders, (0.3, 1.6), strict=True):
+        folder.mkdir()
+        write_walkers(folder, yaw_rad=yaw_rad)
+    front, side = map(str, folders)
+    command = ["reconstruct", front, *reference(store), "--set", "image_size_px=[1920, 1080]", "--out", str(out)]
+    assert run_command_line([*command, "--camera", side]) == 0
+    said = capsys.readouterr()
+    assert "2 cameras: joints are 0." in said.out
+    assert "turned by 7" in said.out
+    assert sorted(path.suffix for path in out.iterdir()).count(".bvh") == 2
+    facts = read_npz(next(out.glob("*_0.npz")).read_bytes(), "the motion")
+    assert facts["camera_position_m"].shape == (3,)
+    assert run_command_line([*command, "--camera", str(tmp_path / "none")]) == 2
+    assert "none" in capsys.readouterr().err
+    assert run_command_line([*command, "--calibration", "calib.toml"]) == 2
+    assert "--calibration is of several cameras: name the others by --camera" in capsys.readouterr().err
+    assert run_command_line(["reconstruct", front, *reference(store), "--follow", "--camera", side]) == 2
+    assert "--camera is for whole videos" in capsys.readouterr().err

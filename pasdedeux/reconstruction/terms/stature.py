@@ -11,7 +11,7 @@ from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, PriorTerm
 
 _STATURE_M = 1.68
 """Mean of the statures of women (1.61 m) and men (1.75 m; Fryar et al. 2021)."""
-_STATURE_DEVIATION = 0.06
+STATURE_DEVIATION = 0.06
 """Standard deviation of the log of a stature."""
 
 
@@ -24,5 +24,5 @@ def stature_term(seen: SeenPeople, statures_m: Mapping[int, float]) -> PriorTerm
     """
     stated = [statures_m.get(person.track.person_id) for person in seen.people]
     wanted = [stature_m or _STATURE_M for stature_m in stated] / np.array([person.stature_m for person in seen.people])
-    deviations = [_STATURE_DEVIATION if stature_m is None else KNOWN_DEVIATION for stature_m in stated]
+    deviations = [STATURE_DEVIATION if stature_m is None else KNOWN_DEVIATION for stature_m in stated]
     return PriorTerm(seen.sizes, np.log(wanted), np.array(deviations))

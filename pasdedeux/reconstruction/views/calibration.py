@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION
+from pasdedeux.reconstruction.terms.stature import STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import OP14
 
@@ -25,7 +26,7 @@ _RAY_DEVIATION_M = 0.015
 _MIN_DEPTH_M = 0.1
 _BONE_DEVIATION = 0.08
 """Standard deviation of the log of a bone's length in a frame from its mean over time and both sides."""
-_LENS_DEVIATION, _STATURE_DEVIATION, _CLOCK_DEVIATION_S = 0.3, 0.06, 0.05
+_LENS_DEVIATION, _CLOCK_DEVIATION_S = 0.3, 0.1
 _ALIKE_S = 0.7
 """Frames within this time err alike."""
 _MAX_FRAMES = 60
@@ -99,15 +100,15 @@ class View:
         depth = -((points_m - self.position_m) @ self.rotmat.T)[..., 2]
         return self.lens.focal_px * _RAY_DEVIATION_M / max(float(np.nanmedian(depth)), _MIN_DEPTH_M)
 
-    def chosen(self, frames: Array) -> View:
+    def chosen(self, frames: Integers) -> View:
         """Return some frames."""
         return replace(self, px=self.px[frames], speed_px_s=self.speed_px_s[frames], confidence=self.confidence[frames])
 
 
 def meet(views: Sequence[View]) -> Array:
     """Return where the rays of the views come nearest to each other (frame, person, 14, 3); NaN for fewer than two."""
-    total, moment = 0.0, 0.0
     count = np.zeros(views[0].confidence.shape, dtype=int)
+    total, moment = np.zeros((*count.shape, 3, 3)), np.zeros((*count.shape, 3))
     for view in views:
         is_seen = view.confidence > 0
         rays = np.where(is_seen[..., None], view.rays, 0.0)
@@ -167,7 +168,7 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
             for view, seen, deviation in zip(moved, is_seen, deviations, strict=True)
         ]
         bones = np.log(np.clip(shares, 0.2, 5.0)) / _BONE_DEVIATION
-        sizes = np.log(body_height_m(OP14, lengths) / statures_m) / _STATURE_DEVIATION
+        sizes = np.log(body_height_m(OP14, lengths) / statures_m) / STATURE_DEVIATION
         known = [KNOWN_DEVIATION if view.lens.is_known else _LENS_DEVIATION for view in views]
         parts = (
             np.concatenate([part.ravel() for part in rays]),
@@ -192,7 +193,7 @@ def _free(views: Sequence[View]) -> Flags:
     return free
 
 
-def _frames_of_several(views: Sequence[View]) -> Array:
+def _frames_of_several(views: Sequence[View]) -> Integers:
     """Return frames in which at least two views show a person, evenly chosen."""
     counts = sum((view.confidence > 0).sum(axis=2) > 4 for view in views)
     several = np.flatnonzero((np.asarray(counts) > 1).any(axis=1))

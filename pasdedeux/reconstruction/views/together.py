@@ -4,28 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
+from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, place_people
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import MIN_JOINTS, ReconstructedTrack
+from pasdedeux.reconstruction.reliability import Judged, Place, Reliability
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.terms.placed import SeenPerson, up_axis
+from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION
+from pasdedeux.reconstruction.terms.stature import STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.reconstruction.views.calibration import View, calibrate, lengths_of, meet
 from pasdedeux.reconstruction.views.clocks import Rising, match_cameras
 from pasdedeux.reconstruction.views.fit import fit_person
 from pasdedeux.skeletons import OP14
 
-_NUM_PASSES = 2
-"""Calibrations; the second with keypoints taken at the clocks of the first."""
+_NUM_PASSES = 4
+"""Calibrations, each with keypoints taken at the clocks of the one before."""
+_SPEED_S = 0.1
+"""Speeds of keypoints are over so long before and after: the noise of neighbours is larger than how far they move."""
+_DOUBTFUL_M = 0.04
+"""Joints that are farther from their rays are a warning: keypoints of 2 px of noise are 0.9 cm off."""
+_MEAN_OVER_DEVIATION = float(np.sqrt(2.0 / np.pi))
+"""Mean size of an error over its standard deviation."""
 _GIVEN_PITCH_RAD = 0.01
 """Standard deviation of a pitch that is given."""
 
@@ -46,11 +56,39 @@ class SeenTogether:
         people: The people before the first camera.
         views: All cameras, in its axes.
         off_m: Median distance of joints from the rays in which they are seen.
+        is_scale_known: A stature is stated, or the cameras are calibrated.
     """
 
     people: ReconstructedPeople
     views: tuple[View, ...]
     off_m: float
+    is_scale_known: bool
+
+    @property
+    def judged(self) -> Judged:
+        """What is expected of it: joints are as far off as from their rays, and everything as much as the scale."""
+        scale = KNOWN_DEVIATION if self.is_scale_known else STATURE_DEVIATION * _MEAN_OVER_DEVIATION
+        doubts = [f"the cameras differ by {100 * self.off_m:.0f} cm"] if self.off_m > _DOUBTFUL_M else []
+        people, places = {}, {}
+        tracks = self.people.methods[-1].people
+        for number, person in enumerate(tracks):
+            shown = np.any([view.confidence[:, number] > 0 for view in self.views], axis=0)
+            reach_m = np.linalg.norm(person.positions_m - person.root_m[:, None], axis=-1).mean()
+            people[person.person_id] = Reliability(
+                expected_error_m=float(np.hypot(self.off_m, scale * reach_m)),
+                misfit_m=self.off_m,
+                left_out_m=float("nan"),
+                share_seen=float(shown[shown.any(axis=1)].mean()),
+                share_bridged=float(person.is_bridged.mean()),
+                doubts=tuple(doubts),
+            )
+        for first, second in combinations(tracks, 2):
+            both, at, other = np.intersect1d(first.track.frames, second.track.frames, return_indices=True)
+            if len(both):
+                apart_m = np.linalg.norm(first.root_m[at] - second.root_m[other], axis=-1).mean()
+                expected_m = float(np.hypot(self.off_m, scale * apart_m))
+                places[first.person_id, second.person_id] = Place(expected_m, tuple(doubts))
+        return Judged(people, places)
 
     def in_words(self) -> str:
         """Say where the cameras were, and how well they agree."""
@@ -70,7 +108,7 @@ def reconstruct_views(
     stated: StatedCamera | None = None,
     options: SequenceOptions | None = None,
     *,
-    calibration: Sequence[PinholeCamera] = (),
+    calibration: Sequence[CalibratedCamera] = (),
     on_camera: Callable[[], None] = lambda: None,
 ) -> SeenTogether:
     """Reconstruct the people of a take that several cameras saw, in the frames of the first one.
@@ -93,7 +131,7 @@ def reconstruct_views(
     alone = []
     for number, tracks in enumerate(cameras):
         if calibration:
-            tracks = [replace(track, lens=_lens(calibration[number])) for track in tracks]
+            tracks = [_calibrated(track, calibration[number]) for track in tracks]
         found = reconstruct_sequence(
             tracks,
             database,
@@ -109,34 +147,33 @@ def reconstruct_views(
     same = [match_cameras(rising[0], other, rate_hz) for other in rising[1:]]
     names = sorted({name for take in same for name in take.person_ids.values()})
     # By camera and person of the take: how that camera alone sees the person, or None.
-    seen = [[_of(alone[0], name) for name in names]]
+    chosen = [_of(alone[0], name) for name in names]
+    seen: list[Sequence[ReconstructedTrack | None]] = [chosen]
     for found, take in zip(alone[1:], same, strict=True):
         theirs = {name: own for own, name in take.person_ids.items()}
         seen.append([_of(found, theirs[name]) if name in theirs else None for name in names])
-    times_s = _times(seen[0])
+    times_s = _times(chosen)
     views = []
-    for number, people in enumerate(seen):
-        lens = next(person.track.lens for person in people if person is not None)
+    for number, shown in enumerate(seen):
+        lens = next(person.track.lens for person in shown if person is not None)
         offset_s = same[number - 1].offset_s if number else 0.0
         rotmat, position_m = np.eye(3), np.zeros(3)
         if number and calibration:
-            first, other = calibration[0], calibration[number]
-            rotmat = other.camera_from_world_rotmat @ first.camera_from_world_rotmat.T
-            position_m = first.camera_from_world(other.position_m)
+            (first, place), (other, other_place) = (_pose(calibration[at]) for at in (0, number))
+            rotmat, position_m = other @ first.T, first @ (other_place - place)
         elif number:
-            rotmat, position_m = _placed(alone[0], alone[number], seen[0], people, offset_s)
-        views.append(View(lens, rotmat, position_m, offset_s, *_moments(people, times_s + offset_s), bool(calibration)))
+            rotmat, position_m = _placed(alone[0], alone[number], chosen, shown, offset_s)
+        views.append(View(lens, rotmat, position_m, offset_s, *_moments(shown, times_s + offset_s), bool(calibration)))
     statures_m = np.array([_stature_m(column, options) for column in zip(*seen, strict=True)])
     for _ in range(_NUM_PASSES):
         views = calibrate(views, statures_m, rate_hz)
         views = [
-            replace(view, **_moments(people, times_s + view.offset_s)._asdict())
-            for view, people in zip(views, seen, strict=True)
+            replace(view, **_moments(shown, times_s + view.offset_s)._asdict())
+            for view, shown in zip(views, seen, strict=True)
         ]
     lengths_m = lengths_of(meet(views))[1]
     made, off_m = [], []
-    for number, person in enumerate(seen[0]):
-        assert person is not None
+    for number, person in enumerate(chosen):
         frames = np.searchsorted(times_s, person.track.times_s - 1e-6)
         own = [view.chosen(frames) for view in views]
         lengths = np.where(lengths_m[number] > 0, lengths_m[number], bone_lengths(OP14, person.positions_m[:1])[0])
@@ -144,14 +181,23 @@ def reconstruct_views(
         is_seen = np.any([(view.confidence[:, number] > 0).sum(axis=1) >= MIN_JOINTS for view in own], axis=0)
         made.append(replace(person.posed(fitted.positions_m), is_bridged=~is_seen))
         off_m.append(fitted.off_m)
-    lens_factor = views[0].lens.focal_px / seen[0][0].track.lens.focal_px
+    lens_factor = views[0].lens.focal_px / chosen[0].track.lens.focal_px
     people = place_people(alone[0], made, _up(alone, views), lens_factor, database.poses, options)
-    return SeenTogether(people, tuple(views), float(np.mean(off_m)))
+    is_scale_known = bool(calibration) or any(name in options.statures_m for name in names)
+    return SeenTogether(people, tuple(views), float(np.mean(off_m)), is_scale_known)
 
 
-def _lens(camera: PinholeCamera) -> Lens:
-    x, y = camera.principal_point_px
-    return Lens(camera.focal_px, (float(x), float(y)), is_known=True)
+def _calibrated(track: Track, camera: CalibratedCamera) -> Track:
+    """Return a track as a camera without distortion sees it."""
+    focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    lens = Lens(focal_px, (float(camera.matrix[0, 2]), float(camera.matrix[1, 2])), is_known=True)
+    return replace(track, keypoints_px=camera.undistorted_px(track.keypoints_px), lens=lens)
+
+
+def _pose(camera: CalibratedCamera) -> tuple[Array, Array]:
+    """Return rotation from the world to the camera (3, 3), our axes, and its place in the world (3,)."""
+    turn = rotmat_from_unitquat(unitquat_from_rotvec(camera.rotvec))
+    return np.diag([1.0, -1.0, -1.0]) @ turn, -turn.T @ camera.translation_m
 
 
 def _of(people: ReconstructedPeople, person_id: int) -> ReconstructedTrack:
@@ -170,9 +216,9 @@ def _rising(people: ReconstructedPeople, rate_hz: float) -> dict[int, Rising]:
     }
 
 
-def _times(people: Sequence[ReconstructedTrack | None]) -> Array:
+def _times(people: Sequence[ReconstructedTrack]) -> Array:
     """Return the times of all frames of the first camera, from the first to the last of anybody (frame,)."""
-    tracks = [person.track for person in people if person is not None]
+    tracks = [person.track for person in people]
     first = min(tracks, key=lambda track: track.first_frame)
     count = max(int(track.frames[-1]) for track in tracks) - first.first_frame + 1
     return np.asarray(first.first_time_s + np.arange(count) / first.rate_hz)
@@ -196,7 +242,10 @@ def _moments(people: Sequence[ReconstructedTrack | None], times_s: Array) -> Mom
         # A moment that is a frame needs no neighbour.
         low, high = np.where(share > 1.0 - 1e-6, high, low), np.where(share < 1e-6, low, high)
         px[inside, number] = low + share * (high - low)
-        speed[inside, number] = np.nan_to_num((high - low) * track.rate_hz)
+        reach = max(1, round(_SPEED_S * track.rate_hz))
+        early, late = np.maximum(before - reach, 0), np.minimum(before + 1 + reach, len(track.frames) - 1)
+        way_px = track.keypoints_px[late] - track.keypoints_px[early]
+        speed[inside, number] = np.nan_to_num(way_px * track.rate_hz / (late - early)[:, None, None])
         sure = np.where(share[..., 0] > 0.5, track.confidence[before + 1], track.confidence[before])
         confidence[inside, number] = np.where(np.isfinite(px[inside, number]).all(axis=-1), sure, 0.0)
     return Moments(px, speed, confidence)

@@ -1,0 +1,88 @@
+"""What `reconstruct` is given of the other cameras of a take: their 2D poses or films, and a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flows.console.annotate import film_source
+from flows.console.context import echo
+from flows.console.inputs import find_source
+from pasdedeux.errors import InputError
+from pasdedeux.formats.calibration import CalibratedCamera, read_calibration
+from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
+from pasdedeux.reconstruction.moving_camera import subtract_motion
+from pasdedeux.reconstruction.tracks import Track, tracks_of
+from tasks.ingest.film.detector_files import fetched_detectors
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.readers import is_film
+from tasks.ingest.film.run import find_videos
+from tasks.ingest.poses2d.parameters import AnnotationOptions
+from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
+from tasks.ingest.poses2d.run import track_columns
+
+
+def find_video(
+    path: Path,
+    settings: Sequence[str],
+    keys: Path | None = None,
+    detections: Path | None = None,
+    detect: Sequence[str] | None = None,
+) -> AnnotationOptions | FilmOptions:
+    """Return the film or the 2D poses that a path and options of the command are."""
+    if keys or detections or detect or (fetched_detectors() and is_film(path)):
+        return film_source(path, settings, keys, detections, detect)
+    return find_source(AnnotationOptions, path, settings)
+
+
+def found_in(video: AnnotationOptions | FilmOptions) -> Sequence[FoundAnnotations]:
+    """Return the shots of a film, or the files of 2D poses."""
+    return find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
+
+
+def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> list[Track]:
+    """Return the tracks of people of another camera of a take.
+
+    Raises:
+        InputError: It cannot be read, or is not one video.
+    """
+    sequences = []
+    for source in found_in(find_video(path, settings, detect=detect if is_film(path) else None)):
+        resolved = source.resolve()
+        sequences += [(resolved, sequence) for sequence in resolved.sequences]
+    if len(sequences) != 1:
+        names = ", ".join(sequence.sequence_id for _, sequence in sequences) or "none"
+        raise InputError(f"--camera {path}: one video of the take is needed, found {names}")
+    return steady_tracks(*sequences[0])[0]
+
+
+def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[list[Track], bool]:
+    """Return the tracks of a sequence in its steady image, and whether motion of the camera was subtracted; say that.
+
+    Raises:
+        InputError: It is no video.
+    """
+    if sequence.why_not_followed:
+        raise InputError(sequence.why_not_followed)
+    motion = resolved.frames.camera_motion.get(sequence.sequence_id)
+    tracks, is_steadied = subtract_motion(tracks_of(track_columns(resolved), sequence.sequence_id), motion)
+    if motion is not None:
+        echo(f"{sequence.sequence_id}: {motion.in_words(is_subtracted=is_steadied)}", err=True)
+    for doubt in resolved.frames.doubts:
+        echo(f"{sequence.sequence_id}: {doubt}", err=True)
+    return tracks, is_steadied
+
+
+def find_calibration(path: Path | None) -> list[CalibratedCamera]:
+    """Return the cameras of a calibration, in the order of the file; none if it is not given.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    if path is None:
+        return []
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"--calibration {path}: {error.strerror}") from None
+    return read_calibration(data)

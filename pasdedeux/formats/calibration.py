@@ -1,0 +1,93 @@
+"""Calibrations of several cameras: `calib.toml` as Pose2Sim, Anipose and freemocap write it."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import InputError
+
+_KEYS = {"matrix": (3, 3), "rotation": (3,), "translation": (3,), "size": (2,)}
+_MILLIMETRES_FROM = 100.0
+"""Cameras of which one is farther from the origin are given in millimetres, as Anipose and freemocap do."""
+
+
+@dataclass(frozen=True)
+class CalibratedCamera:
+    """One camera by OpenCV's conventions: x right, y down, z away from the camera.
+
+    Args:
+        name: As the file has it.
+        matrix: Lens (3, 3), pixels.
+        distortions: Coefficients of OpenCV's distortion (n,).
+        rotvec: Rotation from the world to the camera (3,).
+        translation_m: What is added after it (3,), metres.
+        image_size_px: Width and height.
+    """
+
+    name: str
+    matrix: Array
+    distortions: Array
+    rotvec: Array
+    translation_m: Array
+    image_size_px: tuple[int, int]
+
+    def undistorted_px(self, px: Array) -> Array:
+        """Return pixels (*batch, 2) as a lens without distortion would have them; NaN stays NaN."""
+        import cv2  # here: a quarter of a second that others need not wait for
+
+        flat = np.array(px, dtype=np.float64).reshape(-1, 1, 2)
+        is_seen = np.isfinite(flat).all(axis=(1, 2))
+        if self.distortions.any() and is_seen.any():
+            flat[is_seen] = cv2.undistortPoints(flat[is_seen], self.matrix, self.distortions, P=self.matrix)
+        return np.asarray(flat.reshape(np.shape(px)))
+
+
+def read_calibration(data: bytes) -> list[CalibratedCamera]:
+    """Return the cameras of a `calib.toml`, in the order of the file.
+
+    Each camera is a table with `matrix`, `rotation` (a rotation vector), `translation`, `size` and, where there is
+    any, `distortions`.  Tables without `matrix`, such as `metadata`, are left out.
+
+    Raises:
+        InputError: The file is no TOML, has no camera, or one lacks a number.
+    """
+    try:
+        tables = tomllib.loads(data.decode("utf-8-sig"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"the calibration is no TOML: {error}") from None
+    cameras = []
+    for name, table in tables.items():
+        if not isinstance(table, dict) or "matrix" not in table:
+            continue
+        values = {key: _numbers(name, table, key, shape) for key, shape in _KEYS.items()}
+        distortions = table.get("distortions", [])
+        cameras.append(
+            CalibratedCamera(
+                str(table.get("name", name)),
+                values["matrix"],
+                _numbers(name, {"distortions": distortions}, "distortions", (len(distortions),)),
+                values["rotation"],
+                values["translation"],
+                (int(values["size"][0]), int(values["size"][1])),
+            )
+        )
+    if not cameras:
+        raise InputError("the calibration has no camera: a table with matrix, rotation, translation and size")
+    far = max(float(np.linalg.norm(camera.translation_m)) for camera in cameras)
+    if far <= _MILLIMETRES_FROM:
+        return cameras
+    return [replace(camera, translation_m=camera.translation_m / 1e3) for camera in cameras]
+
+
+def _numbers(name: str, table: dict[str, object], key: str, shape: tuple[int, ...]) -> Array:
+    try:
+        found = np.array(table[key], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != shape or not np.isfinite(found).all():
+        raise InputError(f"camera {name} of the calibration: {key} must hold numbers of shape {shape}")
+    return found

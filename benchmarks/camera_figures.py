@@ -23,9 +23,9 @@ from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_pr
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.annotated import database_of_takes
 from pasdedeux.reconstruction.errors import root_centred_error_m
+from pasdedeux.reconstruction.matching import Method
 from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.people import SequenceOptions
-from pasdedeux.reconstruction.reconstruct import Method
 from pasdedeux.reconstruction.sequence import SearchedDatabase, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import tracks_of
 from pasdedeux.reconstruction.views.together import reconstruct_views

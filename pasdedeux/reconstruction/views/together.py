@@ -14,9 +14,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.reconstruction.matching import MIN_JOINTS
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, place_people
 from pasdedeux.reconstruction.pitch import PitchEstimate
-from pasdedeux.reconstruction.reconstruct import MIN_JOINTS, ReconstructedTrack
+from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.reliability import Judged, Place, Reliability
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.terms.placed import SeenPerson, up_axis

@@ -208,11 +208,12 @@ def mesh_of(cones: Cones, num_vertices: int = NUM_VERTICES) -> tuple[Array, Inte
     low = (cones.ends_m.min(axis=1) - widest[:, None]).min(axis=0) - 2.0 * voxel
     high = (cones.ends_m.max(axis=1) + widest[:, None]).max(axis=0) + 2.0 * voxel
     coarse = np.indices(np.ceil((high - low) / (2.0 * voxel)).astype(int)).transpose(1, 2, 3, 0) + 0.25
-    volume = surface_field(low + 2.0 * voxel * coarse.reshape(-1, 3), *shape).reshape(coarse.shape[:3])
-    for axis in range(3):
-        volume = volume.repeat(2, axis=axis)
-    is_near = np.abs(volume) < _NEAR * voxel
-    volume[is_near] = surface_field(low + voxel * np.argwhere(is_near), *shape)
+    blocks = surface_field(low + 2.0 * voxel * coarse.reshape(-1, 3), *shape).reshape(coarse.shape[:3])
+    corners = np.indices((2, 2, 2)).reshape(3, -1).T
+    near = (2 * np.argwhere(np.abs(blocks) < _NEAR * voxel)[:, None] + corners).reshape(-1, 3)
+    eight = (blocks.shape[0], 2, blocks.shape[1], 2, blocks.shape[2], 2)
+    volume = np.broadcast_to(blocks[:, None, :, None, :, None], eight).reshape(2 * np.array(blocks.shape))
+    volume[tuple(near.T)] = surface_field(low + voxel * near, *shape)
     vertices, faces, *_ = marching_cubes(volume, 0.0, gradient_direction="descent", allow_degenerate=False)
     points = low + voxel * vertices.astype(np.float64)
     normals = carry_onto(points, *shape, voxel)

@@ -104,12 +104,12 @@ class Product:
 
     @property
     def advice(self) -> str:
-        """What to do with it, with a place for its name."""
+        """What to do with it, with a place for its name; empty where nothing is judged."""
         failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL}
         by_result = all(_PRODUCTS[self.name][str(_judge_of(name))] is _USABLE for name in failed)
         if failed and by_result and all(any(row[0] is not Level.FAIL for row in one.tally) for one in failed.values()):
             return _IN_PART
-        return _ADVICE[self.level]
+        return _ADVICE.get(self.level, "")
 
     @property
     def words(self) -> str:

@@ -39,7 +39,12 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "generated motion": {"evaluation: generation": _COMPARED},
 }
 """What a reader may use: the verdicts on it, or on its parts, and what these say in a few words."""
-_ADVICE = {Level.PASS: "use {}", Level.WARN: "read the warnings on {}", Level.FAIL: "do not use {}"}
+_ADVICE = {
+    Level.PASS: "use {}",
+    Level.NOT_JUDGED: "look at {} yourself, which could not be judged",
+    Level.WARN: "read the warnings on {}",
+    Level.FAIL: "do not use {}",
+}
 _IN_PART = "leave out {} that fail"
 """Advice on a product of which only some results fail by themselves, such as takes."""
 _JUDGES = tuple(start for judges in _PRODUCTS.values() for start in judges)
@@ -167,6 +172,8 @@ class Summary:
         >>> verdicts = {"augmentation": Verdict(Level.PASS), "evaluation: coverage": Verdict(Level.FAIL, "far")}
         >>> Summary([], [], verdicts).advice
         'Use the variants; do not use the draws.'
+        >>> Summary([], [], {"evaluation: models": Verdict(Level.NOT_JUDGED, "too little")}).advice
+        'Look at the models yourself, which could not be judged.'
         """
         named: dict[str, list[str]] = {}
         for one in self.products:

@@ -70,7 +70,7 @@ def reconstruct(
     units: Annotated[Literal["cm", "m"], Option(help="Unit of lengths in BVH files.")] = "cm",
     clean_up: Annotated[bool, key_option(LiveOptions, "has_clean_up", "--clean-up/--no-clean-up")] = True,
 ) -> None:
-    """Reconstruct the 3D motion of people from 2D keypoints, with a study's projection database.
+    """Reconstruct the 3D motion of people from film or 2D keypoints, with a study's projection database.
 
     Inputs are OpenPose folders, COCO annotations and result lists, MediaPipe landmarks, and the CSV and npz of the
     docs; each camera in a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
@@ -78,7 +78,7 @@ def reconstruct(
     \b
       pasdedeux reconstruct walk/ --out out/                              BVH and npz for each person, a GLB, a page
       pasdedeux reconstruct walk/ --database projections:duets --follow   a JSON line per person and frame, live
-      pasdedeux reconstruct dance.mp4 --out out/      film, by the detector that was fetched; also --keys, --detect
+      pasdedeux reconstruct dance.mp4 --out out/      film to BVH, GLB and page: --detect, else what was fetched
       pasdedeux reconstruct front.json --camera side.json --out out/      a take that two cameras saw
 
     Image size, rate and focal length come from the files if stated there, else from --set with the keys of a study

@@ -75,7 +75,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
         dataset = open_dataset(store, name)
         label, folder, refs = dataset.label, dataset.path, list(dataset.refs)
         if not (folder / STUDY_FILE).is_file():
-            raise PlanError(f"dataset {name} holds no study: it cannot be built again or compared")
+            folder = _run_of(store, refs, name)
     else:
         label, folder, refs = name, _finished_run(store, name), made_by(store, name)
     artifacts = artifacts_by_place(store, refs)
@@ -159,6 +159,15 @@ def portable_files(folder: Path) -> dict[str, bytes]:
         return '"' + "/".join(tails.get(match[1], PurePosixPath(match[1]).parts[-1:]))
 
     return {name: _PATH.sub(shortened, text).encode() for name, text in sorted(texts.items())}
+
+
+def _run_of(store: Store, refs: Iterable[ArtifactRef], name: str) -> Path:
+    """Return the folder of the last finished run that made or found all of these."""
+    for folder in reversed(list_runs(store)):
+        is_finished = run_record(store, folder.run_id).get("status") == "finished"
+        if is_finished and set(refs).issubset(made_by(store, folder.run_id)):
+            return folder.path
+    raise PlanError(f"dataset {name} was made by an earlier version, and no run of it is left: its study is not known")
 
 
 def _read(folder: Path, file_name: str) -> dict[str, Any]:

@@ -47,6 +47,11 @@ def read_dataset(remote: RemoteStore, label: str) -> bytes:
     return remote.read(f"datasets/{label}", limit=MAX_DATASET_BYTES)
 
 
+def is_old_list(data: bytes) -> bool:
+    """Tell whether the file of a dataset is that of an earlier release: its list alone, as JSON."""
+    return data[:1] == b"{"
+
+
 def pack_dataset(files: Mapping[str, bytes]) -> bytes:
     """Return the files of a dataset as a tar file, which does not tell who made it where and when."""
     packed = io.BytesIO()

@@ -26,6 +26,7 @@ from storage_schema.bucket_layout import (
     DATASET_PLACE,
     MANIFEST_PLACE,
     RECORD_PLACE,
+    is_old_list,
     manifest_place,
     pack_dataset,
     part_place,
@@ -33,7 +34,7 @@ from storage_schema.bucket_layout import (
     unpack_dataset,
 )
 from storage_schema.durable import cache_folder, lock_file, make_folder, write_errors
-from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
+from storage_schema.errors import CorruptArtifact, DatasetExists, OlderSchema, StorageError
 from storage_schema.folder_store import STORE_TEXT, FolderStore
 from storage_schema.keys import file_sha256
 from storage_schema.lease import Lease, each_beat
@@ -187,10 +188,16 @@ class BucketStore(Store):
         return self.here.take_place(staging, new.ref, lambda: None)
 
     def add_dataset(self, staged: Path, label: str) -> bool:
-        """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then."""
+        """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then.
+
+        Raises:
+            DatasetExists: An earlier release pushed one of this name.
+        """
         packed = pack_dataset({path.name: path.read_bytes() for path in staged.iterdir()})
         if not self.remote.create(f"datasets/{label}", packed):
             self.bring_datasets()
+            if not (self.root / "datasets" / label).is_dir():
+                raise DatasetExists(f"{self} has a dataset {label} of an earlier release; name another version")
             return False
         return self.here.add_dataset(staged, label)
 
@@ -339,6 +346,8 @@ class BucketStore(Store):
                     packed = read_dataset(self.remote, folder.name)
                 except FileNotFoundError:
                     continue  # removed since it was listed
+                if is_old_list(packed):
+                    continue  # its artifacts lie elsewhere, where only `dataset pull` looks
                 files = unpack_dataset(packed, f"{self}/{entry['path']}")
                 (staging.path / "new").mkdir()
                 for name, data in files.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -51,9 +51,9 @@ class Dataset:
         """Return `name@version`."""
         return f"{self.name}@{self.version}"
 
-    def to_json(self) -> bytes:
-        """Return the list as its file has it."""
-        values = {**asdict(self), "schema_version": SCHEMA_VERSION}
+    def to_json(self, **more: Any) -> bytes:
+        """Return the list as its file has it, with `more` keys."""
+        values = {**asdict(self), "schema_version": SCHEMA_VERSION, **more}
         del values["path"]
         return json_file(values)
 
@@ -143,8 +143,8 @@ def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]
         return store.add_dataset(staging.path, dataset.label)
 
 
-def dataset_from_json(read: Callable[[], bytes], path: Path) -> Dataset:
-    """Return the dataset of a list that `read` gives, as one in a folder.
+def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection[str] = ()) -> Dataset:
+    """Return the dataset of a list that `read` gives, `less` keys that are no part of it, as one in a folder.
 
     Raises:
         CorruptArtifact: It cannot be read.
@@ -153,7 +153,7 @@ def dataset_from_json(read: Callable[[], bytes], path: Path) -> Dataset:
     """
     version = SCHEMA_VERSION
     try:
-        values: dict[str, Any] = json.loads(read())
+        values: dict[str, Any] = {name: value for name, value in json.loads(read()).items() if name not in less}
         version = int(values.pop("schema_version"))
         refuse_newer(version, str(path))
         lists = {

@@ -1,11 +1,13 @@
 """Datasets in S3-compatible storage: a version is pushed there from a store, and pulled into any other.
 
 They lie there as in a store in a bucket (`bucket_layout`), and may be those of one.  What can be seen is whole, whoever
-else pushes, and a push that was cut off goes on where it ended.
+else pushes, and a push that was cut off goes on where it ended.  Earlier releases pushed in another form, which is
+read: `files/<sha256>`, `artifacts/<stage>/<key>-<digest>`, and the list as JSON with the sha256 of the files beside it.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
@@ -13,7 +15,14 @@ from pathlib import Path
 
 from storage_schema.ancestry import walk
 from storage_schema.bucket import RemoteStore, has_md5_tag
-from storage_schema.bucket_layout import manifest_place, pack_dataset, part_place, read_dataset, unpack_dataset
+from storage_schema.bucket_layout import (
+    is_old_list,
+    manifest_place,
+    pack_dataset,
+    part_place,
+    read_dataset,
+    unpack_dataset,
+)
 from storage_schema.columns import is_plain_name
 from storage_schema.datasets import DATASET_FILE, Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
@@ -62,7 +71,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
     label = _chosen(remote, label)
-    dataset, attachments = _listed(remote, label, store.root / "datasets" / label)
+    dataset, attachments, is_old = _listed(remote, label, store.root / "datasets" / label)
     if dataset.label != label or dataset.digest != digest_of(dataset.refs, dataset.sources):
         raise CorruptArtifact(f"{remote.url}/datasets/{label} is not the list that was pushed")
     known = open_dataset(store, label) if dataset.path.is_dir() else None
@@ -71,7 +80,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     store.prepare()
 
     def manifest_of(ref: ArtifactRef) -> Manifest:
-        place = manifest_place(ref)
+        place = f"artifacts/{ref.stage}/{ref.key}-{ref.content_digest}" if is_old else manifest_place(ref)
         manifest = Manifest.from_json(remote.read(place), where=f"{remote.url}/{place}")
         names = {ref.stage, *manifest.data_files}
         is_same = manifest.ref.place == ref.place and not manifest.faults
@@ -82,7 +91,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 
     with in_use(store):  # what has come is needed by nothing before the list is there
         manifests = _closure(remote, dataset.refs, manifest_of)
-        num_new = sum(remote.at_once(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
+        num_new = sum(remote.at_once(lambda one: _pull_artifact(remote, one, store, is_old=is_old), manifests))
         if known is None:
             add_dataset(store, dataset, attachments)
     return dataset, num_new
@@ -96,11 +105,24 @@ def _closure(
     return [step.manifest for step in steps if step.manifest is not None]
 
 
-def _listed(remote: RemoteStore, label: str, path: Path) -> tuple[Dataset, dict[str, bytes]]:
-    """Return a dataset of the bucket as one in a folder, and its files."""
-    files = unpack_dataset(read_dataset(remote, label), f"{remote.url}/datasets/{label}")
-    listed = files.pop(DATASET_FILE, b"")
-    return dataset_from_json(lambda: listed, path), files
+def _listed(remote: RemoteStore, label: str, path: Path) -> tuple[Dataset, dict[str, bytes], bool]:
+    """Return a dataset of the bucket as one in a folder, its files, and whether it is of an earlier release's form."""
+    data, where = read_dataset(remote, label), f"{remote.url}/datasets/{label}"
+    if not is_old_list(data):
+        files = unpack_dataset(data, where)
+        listed = files.pop(DATASET_FILE, b"")
+        return dataset_from_json(lambda: listed, path), files, False
+    dataset = dataset_from_json(lambda: data, path, less=("attachments",))
+    digests: dict[str, str] = json.loads(data)["attachments"]
+    files = {name: remote.read(_file_place(sha256, is_old=True)) for name, sha256 in digests.items()}
+    for name, content in files.items():
+        if hashlib.sha256(content).hexdigest() != digests[name]:
+            raise CorruptArtifact(f"{where}: its file {name} is not the one that was pushed")
+    return dataset, files, True
+
+
+def _file_place(sha256: str, *, is_old: bool) -> str:
+    return f"files/{sha256}" if is_old else part_place(sha256)
 
 
 def _push_artifacts(store: Store, manifests: Sequence[Manifest], remote: RemoteStore) -> int:
@@ -130,7 +152,7 @@ def _push_artifacts(store: Store, manifests: Sequence[Manifest], remote: RemoteS
     return sum(remote.at_once(push, manifests))
 
 
-def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> bool:
+def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store, *, is_old: bool) -> bool:
     ref = manifest.ref
     there = store.find(ref.stage, ref.key)
     if there is not None and there.ref == ref:
@@ -141,7 +163,7 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
         )
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, entry in manifest.data_files.items():
-            place = part_place(entry.sha256)
+            place = _file_place(entry.sha256, is_old=is_old)
             if remote.fetch(place, staging.path / name) != entry.sha256:
                 raise CorruptArtifact(f"{remote.url}/{place} does not hold what its name says")
         check_ids(manifest, staging.path, f"{remote.url}, artifact {ref.stage}@{ref.key[:12]}")

@@ -46,6 +46,22 @@ def test_another_scale_rebuilds_the_variants_and_what_is_made_of_them(
     assert {manifest.partition for manifest in new} == {"augmentation", "models", "report"}
 
 
+def test_a_threshold_that_changes_no_verdict_stops_the_rebuild_at_its_own_stage(
+    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setting = "augmentation.limits.jerk_ratio=[50.0, 60.0]"
+    plan = planned(small, capsys, setting)
+    assert reasons(plan["augmentation"]) == {"stale: augmentation.limits.jerk_ratio [1.2,2.0] -> [50.0,60.0]"}
+    assert plan["training"]["state"] == "pending"
+    store = small.copy_store(tmp_path)
+    computed = build_here(small.study, store, setting)
+    assert {name: count for name, count in computed.items() if count} == {"augmentation": 2}
+    stages = ("training", "evaluation", "augmentation")
+    assert [d for place, d in digests(store).items() if place[0] in stages] == [
+        d for place, d in digests(small.store).items() if place[0] in stages
+    ]
+
+
 def test_more_draws_extend_the_chains_and_keep_what_is_there(
     small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,6 +21,7 @@ from storage_schema import (
     Store,
     UnknownReference,
     create_dataset,
+    lineage,
     list_datasets,
     verify,
 )
@@ -206,6 +208,47 @@ def test_files_that_could_lead_elsewhere_are_not_pulled(server: S3Server, tmp_pa
     with pytest.raises(CorruptArtifact, match="is the manifest of something else"):
         pull_dataset(remote, "toys", Store(tmp_path / "other"))
     assert not list(tmp_path.rglob("ESCAPED"))
+
+
+def push_as_before(store: Store, dataset: Dataset, remote: RemoteStore) -> None:
+    """Push a dataset in the form of earlier releases."""
+    for step in lineage(store, *dataset.refs):
+        manifest = store.manifest(step.ref)
+        for name, entry in manifest.data_files.items():
+            remote.write(f"files/{entry.sha256}", store.data_file(manifest.ref, name, entry))
+        place = f"artifacts/{step.ref.stage}/{step.ref.key}-{step.ref.content_digest}"
+        remote.write(place, manifest.to_json().encode())
+    card = (dataset.path / "card.md").read_bytes()
+    digest = hashlib.sha256(card).hexdigest()
+    remote.write(f"files/{digest}", card)
+    remote.write(f"datasets/{dataset.label}", dataset.to_json(attachments={"card.md": digest}))
+
+
+def test_what_earlier_releases_pushed_is_pulled_and_checked(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (store, dataset), remote, other = built, remote_of(server), Store(tmp_path / "other")
+    push_as_before(store, dataset, remote)
+    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
+    there = Store(server.place)
+    there.refresh()
+    assert list_datasets(there) == [], "a store in the same place goes on, without the artifacts of that release"
+    with pytest.raises(DatasetExists, match="has a dataset toys@1 of an earlier release; name another version"):
+        create_dataset(there, "toys", [commit_rows(there, name="more")])
+    found, num_new = pull_dataset(remote, "toys", other)
+    assert (found, num_new) == (replace(dataset, path=other.root / "datasets" / "toys@1"), 13)
+    assert (found.path / "card.md").read_bytes() == b"# Card"
+    assert verify(other).is_ok
+    assert push_dataset(store, dataset, remote) == 13, "beside it in the form of today"
+    assert pull_dataset(remote, "toys", Store(tmp_path / "third"))[1] == 13
+    remote.write(f"files/{hashlib.sha256(b'# Card').hexdigest()}", b"# Curd")
+    with pytest.raises(CorruptArtifact, match=r"its file card\.md is not the one that was pushed"):
+        pull_dataset(remote, "toys", Store(tmp_path / "fourth"))
+    (entry,) = store.manifest(dataset.refs[0]).data_files.values()
+    remote.write(f"files/{entry.sha256}", b"something else")
+    remote.write(f"files/{hashlib.sha256(b'# Card').hexdigest()}", b"# Card")
+    with pytest.raises(CorruptArtifact, match="does not hold what its name says"):
+        pull_dataset(remote, "toys", Store(tmp_path / "fourth"))
 
 
 def test_what_is_pushed_is_a_store_and_a_dataset_of_a_store_is_pulled(

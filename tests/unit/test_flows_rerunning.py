@@ -99,11 +99,14 @@ def test_a_rerun_of_a_part_builds_what_that_was_computed_from(built: Store, caps
     assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("is_old", [False, True])
 def test_a_version_of_a_dataset_is_built_again_from_its_own_study(
-    built: Store, capsys: pytest.CaptureFixture[str]
+    built: Store, is_old: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = ["dataset", "create", "first", "--study", "toy", "--stage", "bend", "--store", str(built.root)]
     assert run_command_line(line, graph=TOYS) == 0
+    if is_old:  # datasets of earlier versions do not have the study with them
+        (built.root / "datasets" / "first@1" / "study.json").unlink()
     run_toys(built.root.parent / "toy.toml", built.root, "grow.scale=3.0")
     assert rerun("first@1", built) == 0
     assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out

@@ -148,11 +148,37 @@ def name_threads(shard: Shard, store: Store) -> ArtifactRef:
     raise ValueError(f"{os.environ['OMP_NUM_THREADS']} {os.environ['NUMBA_NUM_THREADS']}")
 
 
+def test_the_cluster_and_one_process_give_the_same_artifacts_whatever_the_order(client: Client, tmp_path: Path) -> None:
+    alone = compute(run_grow, shards(), here(tmp_path / "here"))
+    there = compute(run_grow, list(reversed(shards())), on(client, tmp_path / "there"))
+    assert {key: done.ref for key, done in alone.items()} == {key: done.ref for key, done in there.items()}
+    assert set(there) == {shard.key for shard in shards()}
+    assert all(done.seconds > 0 for done in there.values())
+
+
 def test_a_failing_shard_is_named_with_its_message(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="stage grow, t0, shard s0: the 3rd joint is missing") as caught:
         compute(fail_with_a_message, shards(1, 3), on(client, tmp_path))
     assert caught.value.kind == "ValueError"
     assert "fail_with_a_message" in caught.value.trace
+
+
+def test_shards_that_need_none_of_those_that_failed_are_committed_and_all_failures_named(
+    client: Client, tmp_path: Path
+) -> None:
+    asked = shards(3, 3)
+    for pool, root in ((here(tmp_path / "a"), tmp_path / "a"), (on(client, tmp_path / "b"), tmp_path / "b")):
+        with pytest.raises(ShardError, match=r"t0, shard s1: broken; .*t2, shard s1: broken") as caught:
+            compute(fail_in_the_middle, asked, pool)
+        assert {caught.value.where, *(one.where for one in caught.value.others)} == {
+            "stage grow, t0, shard s1",
+            "stage grow, t2, shard s1",
+        }
+        there = [shard for shard in asked if Store(root).find("grow", shard.key) is not None]
+        assert {(s.partition, s.name) for s in there} == {("t1", f"s{i}") for i in range(3)} | {
+            ("t0", "s0"),
+            ("t2", "s0"),
+        }
 
 
 def test_an_error_that_cannot_be_pickled_keeps_its_message(client: Client, tmp_path: Path) -> None:

@@ -314,12 +314,13 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
     assert shown[-1] < page.index("What was built"), "products are on the first screen"
 
 
-def test_a_product_that_is_not_judged_gets_no_advice_and_the_others_theirs() -> None:
+def test_a_product_that_is_not_judged_is_to_be_looked_at_and_the_others_get_their_advice() -> None:
     verdicts = {"evaluation: reconstruction": Verdict(Level.NOT_JUDGED, "only 2 s"), "ingest": Verdict(Level.PASS)}
     summary = Summary([], [], verdicts)
-    assert summary.advice == "Use the takes."
+    own = "ook at the reconstruction yourself, which could not be judged."
+    assert summary.advice == f"Use the takes; l{own}"
     assert "reconstruction: not judged: not judged" in summary.headlines()
-    assert Summary([], [], {"evaluation: reconstruction": verdicts["evaluation: reconstruction"]}).advice == ""
+    assert Summary([], [], {"evaluation: reconstruction": verdicts["evaluation: reconstruction"]}).advice == f"L{own}"
 
 
 def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:

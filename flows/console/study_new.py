@@ -87,7 +87,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     Motion files are the people of one take, person A first.  Without files, the study is of the built-in duets.
 
     Raises:
-        InputError: The study is there already or cannot be written, a file does not exist, is given twice, or is none
+        InputError: The study exists already or cannot be written, a file does not exist, is given twice, or is none
             of the known formats.
     """
     if path.exists():

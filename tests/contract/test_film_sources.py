@@ -569,7 +569,7 @@ def test_a_detector_that_has_a_name_is_fetched_once_its_size_and_licence_are_agr
     assert run_command_line(["fetch", "detector", "rtmo-m"]) == 0
     said = "".join(capsys.readouterr())
     assert "89 MB, licence Apache-2.0, from https://huggingface.co/" in said
-    assert "with --yes begins" in said
+    assert "add --yes to start" in said
     assert fetched_detectors() == ()
     assert run_command_line(["fetch", "detector", "rtmo-m", "--yes"]) == 0
     assert fetched_detectors() == ("rtmo-m",)

@@ -57,6 +57,16 @@ def test_cameras_by_the_beginning_of_names_are_sequences_and_none_vanishes(tmp_p
     assert [set(one.read().sequence_id) for one in found] == [{"clip.cam1"}, {"clip.cam2"}]
 
 
+@pytest.mark.parametrize("num_notes", [1, 20])
+def test_texts_beside_files_of_frames_are_notes(tmp_path: Path, num_notes: int) -> None:
+    write_frames(tmp_path, count=4)
+    for number in range(num_notes):
+        (tmp_path / f"note_{number:02d}.txt").write_text(yolo_text(seed=number))
+    (one,) = found_in(tmp_path)
+    assert one.parameters.format == "openpose"
+    assert sorted(set(one.read().frame.tolist())) == list(range(4))
+
+
 @pytest.mark.parametrize("beside", ["classes.txt", "film.json.bak"])
 def test_a_folder_of_yolos_text_files_is_a_camera_for_each_beginning_of_their_names(
     tmp_path: Path, beside: str

@@ -474,7 +474,7 @@ def test_what_cannot_be_shown_is_refused_in_one_sentence(
     text.write_text("this is no motion\n")
     used = str(viewer.server.get_port())
     for words, said in (
-        (["takes:short"], "has no people to look at"),
+        (["takes:short"], "contains no people"),
         (["nowhere"], "is no file here, and no study, run or reference"),
         (["poses:short#99999"], "there is no row 99999"),
         ([str(text)], "none of the known formats"),
@@ -490,7 +490,7 @@ def test_what_cannot_be_shown_is_refused_in_one_sentence(
 
 
 def test_of_a_reference_only_its_own_rows_are_offered(store: Store) -> None:
-    with pytest.raises(InputError, match="not among what is shown"):
+    with pytest.raises(InputError, match="is not part of what is shown here"):
         Shelf(store, [], tables=("poses",)).find("poses:short#0")
     assert [part.table for part in open_shelf(store, "poses:short/waltz").parts] == ["poses"]
 

@@ -138,7 +138,7 @@ def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any)
 
 
 def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.lifting._NUM_COMPLETING", 5)
+    monkeypatch.setattr("tasks.lifted_rows._NUM_COMPLETING", 5)
     store, given = grown
     table = store.read(lift(store, given)["one-views"].ref, "lifted_pairs")
     seen, method = np.asarray(table["num_joints_seen"]), np.asarray(table["method"])

@@ -111,8 +111,8 @@ def test_stages_that_need_pairs_skip_the_walk_and_the_report_says_so(own: Own) -
         assert "walk" not in takes - set(prior_takes(own)), stage
     assert "walk" in set(open_table("variants:own", own.store)["take_id"])
     assert "walk" in set(open_table("projections:own", own.store)["take_id"])
-    assert "Take walk: one person" in own.report
-    assert "Take walk: one person" in own.card
+    assert "Take walk: 1 person" in own.report
+    assert "Take walk: 1 person" in own.card
     assert "walk.video00: 12 frames skipped, nobody has a partner" in own.report
 
 
@@ -149,7 +149,7 @@ def test_given_sequences_are_pictured_in_the_report_and_scored_where_their_take_
     (report,) = (own.store / "runs").glob("*/report")
     for sequence in GIVEN:
         assert (report / f"reconstruction-{sequence}.player.json").is_file()
-        caption = "the image and its reconstruction" if sequence == "known" else "reconstructed"
+        caption = "2D poses and their reconstruction" if sequence == "known" else "reconstructed"
         assert f"{sequence}: {caption} (" in own.report
     assert own.report.count("a video without ground truth; no scores.") == 1
     scores = open_table("scores:own", own.store)

@@ -169,7 +169,9 @@ def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
     assert ended.value.code == 0
     (chosen,) = built
     assert (chosen.name, chosen.publish) == ("duets-preview", None), "a preview is no version of the dataset"
-    assert capsys.readouterr().out == f"all of it: pasdedeux run duets --store {store} --set publish.name=kept\n"
+    assert (
+        capsys.readouterr().out == f"for the whole study: pasdedeux run duets --store {store} --set publish.name=kept\n"
+    )
     planned = ingest.plan(StageInputs({}, seed=1), chosen.parameters["ingest"])
     take = next(shard for shard in planned if shard.name == "take")
     made = Store(tmp_path / "made")

@@ -46,7 +46,7 @@ GROUPS: dict[str, dict[str, str]] = {
     "Your own files": {
         "check": "Check motion of two people from any source, and show the worst.",
         "annotate": "Annotate every frame of a film.",
-        "reconstruct": "Reconstruct the 3D motion of people from 2D keypoints, with a study's projection database.",
+        "reconstruct": "Reconstruct 3D motion of people from film or 2D keypoints, with a study's projection database.",
         "retarget": "Retarget a take to other bodies, keep its contacts, and write it on its own skeletons.",
         "complete": "Fill in the unknown joints of a 3D pair, such as one from a depth camera.",
         "generate": "Sample new bodies for person B, and the motion of both, from a trained model.",

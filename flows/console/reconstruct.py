@@ -70,7 +70,7 @@ def reconstruct(
     units: Annotated[Literal["cm", "m"], Option(help="Unit of lengths in BVH files.")] = "cm",
     clean_up: Annotated[bool, key_option(LiveOptions, "has_clean_up", "--clean-up/--no-clean-up")] = True,
 ) -> None:
-    """Reconstruct the 3D motion of people from film or 2D keypoints, with a study's projection database.
+    """Reconstruct 3D motion of people from film or 2D keypoints, with a study's projection database.
 
     Inputs are OpenPose folders, COCO annotations and result lists, MediaPipe landmarks, and the CSV and npz of the
     docs; each camera in a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.

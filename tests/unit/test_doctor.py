@@ -77,7 +77,7 @@ def test_what_is_not_enough_is_bad_and_ends_with_1(
     assert {one for one, finding in findings.items() if not finding["is_ok"]} == (set() if is_ok else {check})
     assert words in findings[check]["found"]
     assert "numpy " in findings["packages"]["found"]
-    assert "starts its own" in findings["prefect server"]["found"]
+    assert "starts and ends its own" in findings["prefect server"]["found"]
 
 
 @pytest.mark.parametrize("answering", ["http://here/api", "http://elsewhere/api"])

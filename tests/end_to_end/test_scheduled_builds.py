@@ -191,7 +191,7 @@ def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) 
     environment = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
     environment |= {"PREFECT_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
     for more, words in (
-        ([], "no Prefect server is named"),
+        ([], "no Prefect server is set"),
         (["--cron", "0 2 * * *", "--every", "60"], "two schedules"),
         (["--cron", "61 * * * *"], "--cron '61 * * * *' is no schedule; allowed are minute,"),
     ):

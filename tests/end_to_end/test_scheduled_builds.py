@@ -192,7 +192,7 @@ def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) 
     environment |= {"PREFECT_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
     for more, words in (
         ([], "no Prefect server is set"),
-        (["--cron", "0 2 * * *", "--every", "60"], "two schedules"),
+        (["--cron", "0 2 * * *", "--every", "60"], "both schedules; give only one"),
         (["--cron", "61 * * * *"], "--cron '61 * * * *' is no schedule; allowed are minute,"),
     ):
         found = subprocess.run(

@@ -20,6 +20,7 @@ from tasks.ingest.film.run import find_videos
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
 from tasks.ingest.poses2d.run import track_columns
+from tasks.user_files import MAX_TEXT_BYTES, read_file
 
 
 def find_video(
@@ -35,7 +36,7 @@ def find_video(
     return find_source(AnnotationOptions, path, settings)
 
 
-def found_in(video: AnnotationOptions | FilmOptions) -> Sequence[FoundAnnotations]:
+def sources_of(video: AnnotationOptions | FilmOptions) -> Sequence[FoundAnnotations]:
     """Return the shots of a film, or the files of 2D poses."""
     return find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
 
@@ -47,7 +48,7 @@ def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | Non
         InputError: It cannot be read, or is not one video.
     """
     sequences = []
-    for source in found_in(find_video(path, settings, detect=detect if is_film(path) else None)):
+    for source in sources_of(find_video(path, settings, detect=detect if is_film(path) else None)):
         resolved = source.resolve()
         sequences += [(resolved, sequence) for sequence in resolved.sequences]
     if len(sequences) != 1:
@@ -82,7 +83,6 @@ def find_calibration(path: Path | None) -> list[CalibratedCamera]:
     if path is None:
         return []
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"--calibration {path}: {error.strerror}") from None
-    return read_calibration(data)
+        return read_calibration(read_file(path, max_bytes=MAX_TEXT_BYTES))
+    except InputError as error:
+        raise InputError(f"--calibration {path}: {error}") from None

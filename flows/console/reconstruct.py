@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from typer import Argument, Option
 
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
-from flows.console.cameras import find_calibration, find_video, found_in, read_camera, steady_tracks
+from flows.console.cameras import find_calibration, find_video, read_camera, sources_of, steady_tracks
 from flows.console.context import StoreOption, app, echo, key_option, say
 from flows.console.display import Steps, format_table, make_listener
 from flows.console.inputs import find_database, read_statures
@@ -147,7 +147,7 @@ def _reconstruct_video(
             or nobody who can be reconstructed.
     """
     named_m = dict(video.statures_m) | read_statures(statures, [])
-    videos = found_in(video)
+    videos = sources_of(video)
     searched = find_database(database, store, with_pairs=True)
     camera = StatedCamera(
         None if pitch_deg is None else math.radians(pitch_deg), camera_height_m or video.camera_height_m

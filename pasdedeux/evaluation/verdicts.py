@@ -129,12 +129,11 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     intervals = {name: lead_interval(paired, name) for name in paired.baselines if num_blocks >= FEWEST_BLOCKS}
     leads = {name: sign * (mean[name] - mean[paired.method]) for name in paired.baselines}
     matters = {name: abs(leads[name]) >= NEGLIGIBLE * abs(mean[name]) for name in paired.baselines}
-    is_behind = any(high < 0.0 and matters[name] for name, (_, high) in intervals.items())
+    behind = [name for name, (_, high) in intervals.items() if high < 0.0 and matters[name]]
+    unbeaten = [name for name, (low, _) in intervals.items() if low <= 0.0 or not matters[name]]
     hardest = min(
-        paired.baselines,
-        key=lambda name: (
-            (is_behind and not matters[name], intervals[name][is_behind]) if intervals else (False, sign * mean[name])
-        ),
+        behind or unbeaten or paired.baselines,
+        key=lambda name: intervals[name][bool(behind)] if intervals else sign * mean[name],
         default="",
     )
     method, beaten = in_words(paired.method), in_words(hardest) if hardest else ""
@@ -149,9 +148,8 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
         )
     else:
         lead, (low, high) = leads[hardest], intervals[hardest]
-        is_ahead = all(low > 0.0 and matters[name] for name, (low, _) in intervals.items())
-        level = Level.FAIL if is_behind else Level.PASS if is_ahead else Level.WARN
-        if is_worse := is_behind or lead < 0.0:
+        level = Level.FAIL if behind else Level.WARN if unbeaten else Level.PASS
+        if is_worse := bool(behind) or lead < 0.0:
             lead, low, high = -lead, -high, -low
         by, ends = format_interval(lead, low, high, unit)
         over = (

@@ -144,11 +144,11 @@ class CameraFollower:
         def misfit_px(tried: Array) -> Array:
             return (apply(self._homography(tried), seen) - wanted[fitting]).ravel()
 
-        found = np.asarray(least_squares(misfit_px, self._turns[-1], method="lm").x, dtype=np.float64)
+        new_turn = np.asarray(least_squares(misfit_px, self._turns[-1], method="lm").x, dtype=np.float64)
         # Corners that people hide, or that were lost, are looked for where the image now has them.
-        places = apply(inverse(self._homography(found)), wanted).astype(np.float32)
+        places = apply(inverse(self._homography(new_turn)), wanted).astype(np.float32)
         self._reference = (image, corners, turn, places)
-        return found
+        return new_turn
 
     def _homography(self, turn: Array) -> Array:
         """Return the matrix (3, 3) that takes pixels of an image to those of the first one.

@@ -10,7 +10,9 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 
-_KEYS = {"matrix": (3, 3), "rotation": (3,), "translation": (3,), "size": (2,)}
+_SHAPES = {"matrix": (3, 3), "rotation": (3,), "translation": (3,)}
+_NUMS_DISTORTIONS = (0, 4, 5, 8, 12, 14)
+"""Numbers of coefficients that OpenCV knows."""
 _MILLIMETRES_FROM = 100.0
 """Cameras of which one is farther from the origin are given in millimetres, as Anipose and freemocap do."""
 
@@ -25,7 +27,6 @@ class CalibratedCamera:
         distortions: Coefficients of OpenCV's distortion (n,).
         rotvec: Rotation from the world to the camera (3,).
         translation_m: What is added after it (3,), metres.
-        image_size_px: Width and height.
     """
 
     name: str
@@ -33,7 +34,6 @@ class CalibratedCamera:
     distortions: Array
     rotvec: Array
     translation_m: Array
-    image_size_px: tuple[int, int]
 
     def undistorted_px(self, px: Array) -> Array:
         """Return pixels (*batch, 2) as a lens without distortion would have them; NaN stays NaN."""
@@ -49,11 +49,11 @@ class CalibratedCamera:
 def read_calibration(data: bytes) -> list[CalibratedCamera]:
     """Return the cameras of a `calib.toml`, in the order of the file.
 
-    Each camera is a table with `matrix`, `rotation` (a rotation vector), `translation`, `size` and, where there is
-    any, `distortions`.  Tables without `matrix`, such as `metadata`, are left out.
+    Each camera is a table with `matrix`, `rotation` (a rotation vector), `translation` and, where there is any,
+    `distortions`.  Tables without `matrix`, such as `metadata`, are left out.
 
     Raises:
-        InputError: The file is no TOML, has no camera, or one lacks a number.
+        InputError: The file is no TOML, has no camera, or one lacks a number or has a lens that is not supported.
     """
     try:
         tables = tomllib.loads(data.decode("utf-8-sig"))
@@ -63,31 +63,35 @@ def read_calibration(data: bytes) -> list[CalibratedCamera]:
     for name, table in tables.items():
         if not isinstance(table, dict) or "matrix" not in table:
             continue
-        values = {key: _numbers(name, table, key, shape) for key, shape in _KEYS.items()}
-        distortions = table.get("distortions", [])
+        if table.get("fisheye", False):
+            raise InputError(f"camera {name} of the calibration has a fisheye lens, which is not supported")
+        matrix, rotvec, translation = (_numbers(name, table, key, shape) for key, shape in _SHAPES.items())
+        if min(matrix[0, 0], matrix[1, 1]) <= 0:
+            raise InputError(f"camera {name} of the calibration: the focal lengths of matrix must be positive")
         cameras.append(
-            CalibratedCamera(
-                str(table.get("name", name)),
-                values["matrix"],
-                _numbers(name, {"distortions": distortions}, "distortions", (len(distortions),)),
-                values["rotation"],
-                values["translation"],
-                (int(values["size"][0]), int(values["size"][1])),
-            )
+            CalibratedCamera(str(table.get("name", name)), matrix, _distortions(name, table), rotvec, translation)
         )
     if not cameras:
-        raise InputError("the calibration has no camera: a table with matrix, rotation, translation and size")
+        raise InputError("the calibration has no camera: a table with matrix, rotation and translation")
     far = max(float(np.linalg.norm(camera.translation_m)) for camera in cameras)
     if far <= _MILLIMETRES_FROM:
         return cameras
     return [replace(camera, translation_m=camera.translation_m / 1e3) for camera in cameras]
 
 
+def _distortions(name: str, table: dict[str, object]) -> Array:
+    given = table.get("distortions", [])
+    if isinstance(given, list) and len(given) in _NUMS_DISTORTIONS:
+        return _numbers(name, {"distortions": given}, "distortions", (len(given),))
+    counts = ", ".join(map(str, _NUMS_DISTORTIONS))
+    raise InputError(f"camera {name} of the calibration: distortions must be a list of {counts} numbers")
+
+
 def _numbers(name: str, table: dict[str, object], key: str, shape: tuple[int, ...]) -> Array:
     try:
-        found = np.array(table[key], dtype=np.float64)
+        numbers = np.array(table[key], dtype=np.float64)
     except (KeyError, TypeError, ValueError):
-        found = np.zeros(0)
-    if found.shape != shape or not np.isfinite(found).all():
+        numbers = np.full(1, np.nan)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
         raise InputError(f"camera {name} of the calibration: {key} must hold numbers of shape {shape}")
-    return found
+    return numbers

@@ -138,10 +138,10 @@ FAULTS = (
           "unit/test_evaluation_scores.py::test_an_interval_over_takes_is_of_takes_however_many_variants_each_has"),
     # Verdicts
     Fault("the rule of comparisons always passes", "pasdedeux/evaluation/verdicts.py",
-          "Level.FAIL if is_behind else Level.PASS if is_ahead else Level.WARN", "Level.PASS",
+          "Level.FAIL if behind else Level.WARN if unbeaten else Level.PASS", "Level.PASS",
           "unit/test_verdict.py::test_a_method_has_to_beat_every_baseline_and_not_the_weakest"),
     Fault("what may be chance passes", "pasdedeux/evaluation/verdicts.py",
-          "all(low > 0.0 and matters", "all(leads[name] > 0.0 and matters",
+          "if low <= 0.0 or not matters", "if leads[name] <= 0.0 or not matters",
           "unit/test_verdict.py::test_what_may_be_chance_is_a_warning"),
     Fault("only the weakest baseline is compared", "pasdedeux/evaluation/verdicts.py",
           "beside = sorted(name for name in finite if name in baselines and name != found[0])",

@@ -91,6 +91,14 @@ def test_a_difference_of_less_than_one_percent_does_not_matter_however_certain(f
     assert close.baseline_name == in_words("lifting")
 
 
+def test_of_several_baselines_that_is_named_which_decides() -> None:
+    some = items(takes=["a"], seconds=12, fitted=0.95, lifting=1.0, mean_pair=0.955)
+    found = verdict_on(some)
+    assert (found.level, found.baseline_name) == (Level.WARN, in_words("mean_pair"))
+    lost = verdict_on(items(takes=["a"], seconds=12, fitted=0.95, lifting=0.9, mean_pair=0.949))
+    assert (lost.level, lost.baseline_name) == (Level.FAIL, in_words("lifting"))
+
+
 def test_larger_may_be_better() -> None:
     criterion = replace(CRITERION, is_larger_better=True)
     for fitted, level in ((0.3, Level.PASS), (0.1, Level.FAIL)):

@@ -24,7 +24,7 @@ from pasdedeux.reconstruction.views.fit import RayTerm
 from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level
-from tests.builders.cameras_of_a_take import SIZE_PX, Seen, database_of_duets, duet_m, errors_m, see
+from tests.builders.cameras_of_a_take import Seen, database_of_duets, duet_m, errors_m, see
 from tests.builders.walkers_on_video import build_store, reference, write_walkers
 
 
@@ -58,7 +58,6 @@ def calibrated(camera: PinholeCamera) -> CalibratedCamera:
         np.zeros(5),
         rotvec_from_unitquat(unitquat_from_rotmat(rotmat)),
         -rotmat @ camera.position_m,
-        SIZE_PX,
     )
 
 
@@ -178,6 +177,11 @@ def test_calibrations_are_read_in_metres_and_millimetres() -> None:
     assert straight[2, 0] < 895.0
 
 
+def _bad(line: str = "", distortions: str = "[ 0.1, 0.0, 0.0, 0.0,]") -> str:
+    text = _CALIBRATION.replace("SCALE", "1.0").replace("[ 0.1, 0.0, 0.0, 0.0,]", distortions)
+    return text.replace("[metadata]", f"{line}\n[metadata]")
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -185,6 +189,11 @@ def test_calibrations_are_read_in_metres_and_millimetres() -> None:
         ("[metadata]\nadjusted = false", "the calibration has no camera"),
         (_CALIBRATION.replace("SCALE", "'far'"), "camera one of the calibration: translation must hold numbers"),
         (_CALIBRATION.replace("SCALE", "1.0, 2.0"), r"translation must hold numbers of shape \(3,\)"),
+        (_bad("fisheye = true"), "has a fisheye lens"),
+        (_bad(distortions="[0.1, 0.0, 0.0]"), "distortions must be a list of 0, 4, 5, 8, 12, 14 numbers"),
+        (_bad(distortions="0.1"), "distortions must be a list"),
+        (_bad(distortions="[0.1, 0.0, 0.0, nan]"), r"distortions must hold numbers of shape \(4,\)"),
+        (_CALIBRATION.replace("SCALE", "1.0").replace("[ [ 800.0", "[ [ -800.0"), "focal lengths of matrix must be"),
     ],
 )
 def test_bad_calibrations_are_named(text: str, says: str) -> None:
@@ -209,6 +218,11 @@ def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.C
     assert facts["camera_position_m"].shape == (3,)
     assert run_command_line([*command, "--camera", str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err
+    assert run_command_line([*command, "--camera", side, "--calibration", "/dev/zero"]) == 2
+    assert "--calibration /dev/zero: /dev/zero is a device" in capsys.readouterr().err
+    (tmp_path / "calib.toml").write_text("[one")
+    assert run_command_line([*command, "--camera", side, "--calibration", str(tmp_path / "calib.toml")]) == 2
+    assert f"--calibration {tmp_path / 'calib.toml'}: the calibration is no TOML" in capsys.readouterr().err
     assert run_command_line([*command, "--calibration", "calib.toml"]) == 2
     assert "--calibration is of several cameras: name the others by --camera" in capsys.readouterr().err
     assert run_command_line(["reconstruct", front, *reference(store), "--follow", "--camera", side]) == 2

@@ -20,6 +20,7 @@ from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION
 from pasdedeux.reconstruction.terms.stature import STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import OP14
+from pasdedeux.spread import evenly_spread
 
 _RAY_DEVIATION_M = 0.015
 """Standard deviation of a joint from its ray: what detectors take for the joint differs between sides."""
@@ -31,14 +32,6 @@ _ALIKE_S = 0.7
 """Frames within this time err alike."""
 _MAX_FRAMES = 60
 """Frames that cameras are calibrated from, evenly chosen, at most."""
-_MIRRORED = np.array(
-    [
-        OP14.index({"left": "right", "right": "left"}.get(name.split("_")[0], "") + name[name.find("_") :])
-        if "_" in name
-        else place
-        for place, name in enumerate(OP14.joint_names)
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -126,7 +119,7 @@ def lengths_of(points_m: Array) -> tuple[Array, Array]:
     """Return bones (frame, person, 14) over their length, and these (person, 14): medians over time and both sides."""
     each = bone_lengths(OP14, points_m)
     with np.errstate(all="ignore"):
-        both = np.stack([np.nanmedian(part, axis=0) for part in (each, each[..., _MIRRORED])])
+        both = np.stack([np.nanmedian(part, axis=0) for part in (each, each[..., OP14.mirror])])
     lengths = np.nanmean(both, axis=0)
     return each / np.where(lengths > 0, lengths, np.nan), lengths
 
@@ -148,9 +141,9 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
     # Frames near each other err alike and count as one: what is known beforehand counts so much more.
     scale = np.sqrt(max(1.0, _ALIKE_S * rate_hz * len(shown) / (shown[-1] - shown[0] + 1)))
 
-    start, is_seen = meet(part), [view.confidence > 0 for view in part]
+    guess_m = meet(part)
     # In pixels of the first guess: in metres, small people before short lenses would be nearer to their rays.
-    deviations = [view.deviation_px(start) for view in part]
+    deviations = [view.deviation_px(guess_m) for view in part]
 
     def unpacked(unknowns: Array) -> Array:
         changes = np.zeros((len(views), 8))
@@ -165,7 +158,7 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
         rays = [
             np.where((view.confidence > 0)[..., None], np.sqrt(view.confidence)[..., None] * view.off_px(points), 0.0)
             / deviation
-            for view, seen, deviation in zip(moved, is_seen, deviations, strict=True)
+            for view, deviation in zip(moved, deviations, strict=True)
         ]
         bones = np.log(np.clip(shares, 0.2, 5.0)) / _BONE_DEVIATION
         sizes = np.log(body_height_m(OP14, lengths) / statures_m) / STATURE_DEVIATION
@@ -179,8 +172,8 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
         )
         return np.nan_to_num(np.concatenate(parts))
 
-    found = least_squares(residual, np.zeros(int(free.sum())), loss="soft_l1", x_scale=0.1, max_nfev=60).x
-    return [view.moved(change) for view, change in zip(views, unpacked(found), strict=True)]
+    best = least_squares(residual, np.zeros(int(free.sum())), loss="soft_l1", x_scale=0.1, max_nfev=60).x
+    return [view.moved(change) for view, change in zip(views, unpacked(best), strict=True)]
 
 
 def _free(views: Sequence[View]) -> Flags:
@@ -197,4 +190,4 @@ def _frames_of_several(views: Sequence[View]) -> Integers:
     """Return frames in which at least two views show a person, evenly chosen."""
     counts = sum((view.confidence > 0).sum(axis=2) > 4 for view in views)
     several = np.flatnonzero((np.asarray(counts) > 1).any(axis=1))
-    return several[np.unique(np.linspace(0, len(several) - 1, min(len(several), _MAX_FRAMES)).astype(int))]
+    return np.asarray(several[evenly_spread(len(several), _MAX_FRAMES)])

@@ -44,7 +44,7 @@ class Rising:
         from scipy.ndimage import gaussian_filter1d  # here: planning does not need it
 
         grid_s = np.arange(times_s[0], times_s[-1] + 1e-9, 1.0 / rate_hz)
-        even_m = np.stack([np.interp(grid_s, times_s, one) for one in height_m.T], axis=-1)
+        even_m = np.stack([np.interp(grid_s, times_s, values) for values in height_m.T], axis=-1)
         known = np.interp(grid_s, times_s, is_known.astype(np.float64)) > 0.99
         speed_m_s = np.gradient(even_m, axis=0) * rate_hz if len(even_m) > 1 else 0.0 * even_m
         return cls(float(times_s[0]), gaussian_filter1d(speed_m_s, _SMOOTHING_S * rate_hz, axis=0), known)
@@ -88,15 +88,15 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
     sums = np.array([table[*pairs, at].sum() for at, pairs in enumerate(chosen)])
     best = int(np.argmax(sums))
     rows, columns = chosen[best]
-    found = [(row, column) for row, column in zip(rows, columns, strict=True) if table[row, column, best] > 0]
-    mean = float(np.mean([table[row, column, best] for row, column in found])) if found else 0.0
+    alike = [(row, column) for row, column in zip(rows, columns, strict=True) if table[row, column, best] > 0]
+    mean = float(np.mean([table[row, column, best] for row, column in alike])) if alike else 0.0
     if mean < _MIN_CORRELATION:
         raise InputError(
             "the cameras do not show the same people at the same time: nobody's joints move alike "
             f"(correlation {mean:.2f}, at least {_MIN_CORRELATION} is needed)"
         )
     names = list(first), list(second)
-    people = {names[1][column]: names[0][row] for row, column in found}
+    people = {names[1][column]: names[0][row] for row, column in alike}
     return SameTake(float((lags[best] + _peak(sums, best)) / rate_hz), people, mean)
 
 
@@ -107,7 +107,7 @@ def _correlations(first: Rising, second: Rising, lags: Array, rate_hz: float) ->
     """
     start = (second.first_s - first.first_s) * rate_hz
     needed = min(_MIN_SHARED_S * rate_hz, 0.5 * min(len(first.speed_m_s), len(second.speed_m_s)))
-    found = np.zeros(len(lags))
+    correlations = np.zeros(len(lags))
     for at, lag in enumerate(lags):
         # Frame i of the first is frame i + shift of the second.
         shift = round(lag - start)
@@ -118,8 +118,8 @@ def _correlations(first: Rising, second: Rising, lags: Array, rate_hz: float) ->
         if both.sum() < needed:
             continue
         a, b = first.speed_m_s[low:high][both], second.speed_m_s[low + shift : high + shift][both]
-        found[at] = float((a * b).sum() / max(np.sqrt((a**2).sum() * (b**2).sum()), 1e-12))
-    return found
+        correlations[at] = float((a * b).sum() / max(np.sqrt((a**2).sum() * (b**2).sum()), 1e-12))
+    return correlations
 
 
 def _peak(values: Array, at: int) -> float:

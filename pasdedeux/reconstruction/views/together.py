@@ -25,7 +25,7 @@ from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION
 from pasdedeux.reconstruction.terms.stature import STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.reconstruction.views.calibration import View, calibrate, lengths_of, meet
-from pasdedeux.reconstruction.views.clocks import Rising, match_cameras
+from pasdedeux.reconstruction.views.clocks import Rising, SameTake, match_cameras
 from pasdedeux.reconstruction.views.fit import fit_person
 from pasdedeux.skeletons import OP14
 
@@ -133,59 +133,80 @@ def reconstruct_views(
     for number, tracks in enumerate(cameras):
         if calibration:
             tracks = [_calibrated(track, calibration[number]) for track in tracks]
-        found = reconstruct_sequence(
+        people = reconstruct_sequence(
             tracks,
             database,
             stated if number == 0 else None,
             replace(options, has_clean_up=False, statures_m={} if number else options.statures_m),
         ).people
-        if not found.methods:
-            raise InputError(f"camera {number + 1}: {next(iter(found.skipped.values()), 'it shows nobody')}")
-        alone.append(found)
+        if not people.methods:
+            raise InputError(f"camera {number + 1}: {next(iter(people.skipped.values()), 'it shows nobody')}")
+        alone.append(people)
         on_camera()
     rate_hz = alone[0].methods[-1].people[0].track.rate_hz
-    rising = [_rising(found, rate_hz) for found in alone]
+    rising = [_rising(people, rate_hz) for people in alone]
     same = [match_cameras(rising[0], other, rate_hz) for other in rising[1:]]
     names = sorted({name for take in same for name in take.person_ids.values()})
-    # By camera and person of the take: how that camera alone sees the person, or None.
-    chosen = [_of(alone[0], name) for name in names]
-    seen: list[Sequence[ReconstructedTrack | None]] = [chosen]
-    for found, take in zip(alone[1:], same, strict=True):
-        theirs = {name: own for own, name in take.person_ids.items()}
-        seen.append([_of(found, theirs[name]) if name in theirs else None for name in names])
-    times_s = _times(chosen)
-    views = []
-    for number, shown in enumerate(seen):
-        lens = next(person.track.lens for person in shown if person is not None)
-        offset_s = same[number - 1].offset_s if number else 0.0
-        rotmat, position_m = np.eye(3), np.zeros(3)
-        if number and calibration:
-            (first, place), (other, other_place) = (_pose(calibration[at]) for at in (0, number))
-            rotmat, position_m = other @ first.T, first @ (other_place - place)
-        elif number:
-            rotmat, position_m = _placed(alone[0], alone[number], chosen, shown, offset_s)
-        views.append(View(lens, rotmat, position_m, offset_s, *_moments(shown, times_s + offset_s), bool(calibration)))
+    first_seen = [_of(alone[0], name) for name in names]
+    seen = [first_seen, *(_in_order(people, take, names) for people, take in zip(alone[1:], same, strict=True))]
+    times_s = _times(first_seen)
     statures_m = np.array([_stature_m(column, options) for column in zip(*seen, strict=True)])
+    views = _first_views(alone, seen, [0.0, *(take.offset_s for take in same)], times_s, calibration)
     for _ in range(_NUM_PASSES):
         views = calibrate(views, statures_m, rate_hz)
         views = [
             replace(view, **_moments(shown, times_s + view.offset_s)._asdict())
             for view, shown in zip(views, seen, strict=True)
         ]
-    lengths_m = lengths_of(meet(views))[1]
-    made, off_m = [], []
-    for number, person in enumerate(chosen):
-        frames = np.searchsorted(times_s, person.track.times_s - 1e-6)
-        own = [view.chosen(frames) for view in views]
-        lengths = np.where(lengths_m[number] > 0, lengths_m[number], bone_lengths(OP14, person.positions_m[:1])[0])
-        fitted = fit_person(own, number, person.positions_m, lengths, rate_hz)
-        is_seen = np.any([(view.confidence[:, number] > 0).sum(axis=1) >= MIN_JOINTS for view in own], axis=0)
-        made.append(replace(person.posed(fitted.positions_m), is_bridged=~is_seen))
-        off_m.append(fitted.off_m)
-    lens_factor = views[0].lens.focal_px / chosen[0].track.lens.focal_px
-    people = place_people(alone[0], made, _up(alone, views), lens_factor, database.poses, options)
+    fitted, off_m = _fit_people(views, first_seen, times_s, rate_hz)
+    lens_factor = views[0].lens.focal_px / first_seen[0].track.lens.focal_px
+    placed = place_people(alone[0], fitted, _up(alone, views), lens_factor, database.poses, options)
     is_scale_known = bool(calibration) or any(name in options.statures_m for name in names)
-    return SeenTogether(people, tuple(views), float(np.mean(off_m)), is_scale_known)
+    return SeenTogether(placed, tuple(views), off_m, is_scale_known)
+
+
+def _in_order(people: ReconstructedPeople, take: SameTake, names: Sequence[int]) -> Sequence[ReconstructedTrack | None]:
+    """Return how a camera alone sees the people of these names of the first camera; None where it does not."""
+    theirs = {name: other for other, name in take.person_ids.items()}
+    return [_of(people, theirs[name]) if name in theirs else None for name in names]
+
+
+def _first_views(
+    alone: Sequence[ReconstructedPeople],
+    seen: Sequence[Sequence[ReconstructedTrack | None]],
+    offsets_s: Sequence[float],
+    times_s: Array,
+    calibration: Sequence[CalibratedCamera],
+) -> list[View]:
+    """Return the cameras as they are given, else as each alone sees the people."""
+    views = []
+    for number, (people, shown, offset_s) in enumerate(zip(alone, seen, offsets_s, strict=True)):
+        rotmat, position_m = np.eye(3), np.zeros(3)
+        if number and calibration:
+            (first, place), (other, other_place) = (_pose(calibration[at]) for at in (0, number))
+            rotmat, position_m = other @ first.T, first @ (other_place - place)
+        elif number:
+            rotmat, position_m = _placed(alone[0], people, seen[0], shown, offset_s)
+        lens = next(person.track.lens for person in shown if person is not None)
+        views.append(View(lens, rotmat, position_m, offset_s, *_moments(shown, times_s + offset_s), bool(calibration)))
+    return views
+
+
+def _fit_people(
+    views: Sequence[View], people: Sequence[ReconstructedTrack], times_s: Array, rate_hz: float
+) -> tuple[list[ReconstructedTrack], float]:
+    """Return the people of the first camera fitted to all views, and how far joints are from their rays, metres."""
+    lengths_m = lengths_of(meet(views))[1]
+    fitted, off_m = [], []
+    for number, person in enumerate(people):
+        frames = np.searchsorted(times_s, person.track.times_s - 1e-6)
+        shown = [view.chosen(frames) for view in views]
+        lengths = np.where(lengths_m[number] > 0, lengths_m[number], bone_lengths(OP14, person.positions_m[:1])[0])
+        fit = fit_person(shown, number, person.positions_m, lengths, rate_hz)
+        is_seen = np.any([(view.confidence[:, number] > 0).sum(axis=1) >= MIN_JOINTS for view in shown], axis=0)
+        fitted.append(replace(person.posed(fit.positions_m), is_bridged=~is_seen))
+        off_m.append(fit.off_m)
+    return fitted, float(np.mean(off_m))
 
 
 def _calibrated(track: Track, camera: CalibratedCamera) -> Track:
@@ -264,14 +285,14 @@ def _placed(
     What one camera alone takes the people to be is turned about the vertical and displaced to what the other does.
     """
     ours_m, theirs_m = [], []
-    for own, same in zip(seen, theirs, strict=True):
-        if own is None or same is None:
+    for person, same in zip(seen, theirs, strict=True):
+        if person is None or same is None:
             continue
-        times_s = own.track.times_s + offset_s
+        times_s = person.track.times_s + offset_s
         is_both = (times_s >= same.track.times_s[0]) & (times_s <= same.track.times_s[-1])
         flat = _upright_m(other, same).reshape(len(same.track.frames), -1)
-        moved = np.stack([np.interp(times_s[is_both], same.track.times_s, one) for one in flat.T], axis=-1)
-        ours_m.append(_upright_m(first, own)[is_both].reshape(-1, 3))
+        moved = np.stack([np.interp(times_s[is_both], same.track.times_s, values) for values in flat.T], axis=-1)
+        ours_m.append(_upright_m(first, person)[is_both].reshape(-1, 3))
         theirs_m.append(moved.reshape(-1, 3))
     ours, them = np.concatenate(ours_m), np.concatenate(theirs_m)
     a, b = ours - ours.mean(axis=0), them - them.mean(axis=0)
@@ -297,7 +318,7 @@ def _up(alone: Sequence[ReconstructedPeople], views: Sequence[View]) -> PitchEst
     pitch = alone[0].pitch
     if pitch.is_given:
         return pitch
-    weights = np.array([1.0 / max(found.pitch.deviation_rad, _GIVEN_PITCH_RAD) ** 2 for found in alone])
-    ups = np.array([view.rotmat.T @ up_axis(found.pitch.pitch_rad) for found, view in zip(alone, views, strict=True)])
+    weights = np.array([1.0 / max(people.pitch.deviation_rad, _GIVEN_PITCH_RAD) ** 2 for people in alone])
+    ups = np.array([view.rotmat.T @ up_axis(people.pitch.pitch_rad) for people, view in zip(alone, views, strict=True)])
     up = weights @ ups
     return replace(pitch, pitch_rad=float(np.arctan2(up[2], up[1])), deviation_rad=float(1.0 / np.sqrt(weights.sum())))

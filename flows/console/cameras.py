@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from flows.console.annotate import film_source
 from flows.console.context import echo
 from flows.console.inputs import find_source
+from flows.exports.reconstructions import Footage
 from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera, read_calibration
+from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.tracks import Track, tracks_of
 from tasks.ingest.film.detector_files import fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import is_film
-from tasks.ingest.film.run import find_videos
+from tasks.ingest.film.run import FoundFilm, find_videos
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
 from tasks.ingest.poses2d.run import track_columns
@@ -41,8 +44,36 @@ def sources_of(video: AnnotationOptions | FilmOptions) -> Sequence[FoundAnnotati
     return find_videos(video) if isinstance(video, FilmOptions) else find_annotations(video)
 
 
-def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> list[Track]:
-    """Return the tracks of people of another camera of a take.
+def camera_names(paths: Sequence[Path]) -> list[str]:
+    """Return what cameras are called: their files, with the folder where these have one name, and a number where both.
+
+    >>> camera_names([Path("a/pose.json"), Path("b/pose.json")])
+    ['a/pose', 'b/pose']
+    """
+    files = [path.resolve() for path in paths]
+    stems = [path.name.removesuffix(path.suffix) for path in files]
+    if len(set(stems)) < len(stems):
+        stems = [f"{path.parent.name}/{stem}" for path, stem in zip(files, stems, strict=True)]
+    if len(set(stems)) < len(stems):
+        stems = [f"{number}: {stem}" for number, stem in enumerate(stems, start=1)]
+    return stems
+
+
+@dataclass(frozen=True)
+class OtherCamera:
+    """Another camera of a take.
+
+    Args:
+        tracks: Tracks of its people.
+        footage: What is at hand of it.
+    """
+
+    tracks: list[Track]
+    footage: Footage
+
+
+def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> OtherCamera:
+    """Return another camera of a take.
 
     Raises:
         InputError: It cannot be read, or is not one video.
@@ -50,15 +81,19 @@ def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | Non
     sequences = []
     for source in sources_of(find_video(path, settings, detect=detect if is_film(path) else None)):
         resolved = source.resolve()
-        sequences += [(resolved, sequence) for sequence in resolved.sequences]
+        sequences += [(source, resolved, sequence) for sequence in resolved.sequences]
     if len(sequences) != 1:
-        names = ", ".join(sequence.sequence_id for _, sequence in sequences) or "none"
+        names = ", ".join(sequence.sequence_id for *_, sequence in sequences) or "none"
         raise InputError(f"--camera {path}: one video of the take is needed, found {names}")
-    return steady_tracks(*sequences[0])[0]
+    ((source, resolved, sequence),) = sequences
+    tracks, motion = steady_tracks(resolved, sequence)
+    if not tracks:
+        raise InputError(f"--camera {path}: no frame shows enough joints of a person")
+    return OtherCamera(tracks, Footage(motion, source if isinstance(source, FoundFilm) else None))
 
 
-def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[list[Track], bool]:
-    """Return the tracks of a sequence in its steady image, and whether motion of the camera was subtracted; say that.
+def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[list[Track], CameraMotion | None]:
+    """Return the tracks of a sequence in its steady image, and the motion of the camera if it was subtracted; say that.
 
     Raises:
         InputError: It is no video.
@@ -71,7 +106,7 @@ def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[l
         echo(f"{sequence.sequence_id}: {motion.in_words(is_subtracted=is_steadied)}", err=True)
     for doubt in resolved.frames.doubts:
         echo(f"{sequence.sequence_id}: {doubt}", err=True)
-    return tracks, is_steadied
+    return tracks, motion if is_steadied else None
 
 
 def find_calibration(path: Path | None) -> list[CalibratedCamera]:

@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from typer import Argument, Option
 
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
-from flows.console.cameras import find_calibration, find_video, read_camera, sources_of, steady_tracks
+from flows.console.cameras import (
+    OtherCamera,
+    camera_names,
+    find_calibration,
+    find_video,
+    read_camera,
+    sources_of,
+    steady_tracks,
+)
 from flows.console.context import StoreOption, app, echo, key_option, say
 from flows.console.display import Steps, format_table, make_listener
 from flows.console.inputs import find_database, read_statures
 from flows.console.live import follow_video
-from flows.exports.reconstructions import write_reconstruction
+from flows.exports.reconstructions import Footage, write_reconstruction
 from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import SequenceOptions
 from pasdedeux.reconstruction.sequence import Reconstruction, StatedCamera, reconstruct_sequence
-from pasdedeux.reconstruction.tracks import Track
+from pasdedeux.reconstruction.views.seen import SeenBy, upright_m
 from pasdedeux.reconstruction.views.together import reconstruct_views
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import FoundFilm
@@ -115,6 +124,7 @@ def reconstruct(
         store,
         out or Path(),
         others=others,
+        names=camera_names([path, *(camera or ())]),
         calibration=find_calibration(calibration),
         units=units,
         pitch_deg=pitch,
@@ -131,7 +141,8 @@ def _reconstruct_video(
     store: Path,
     out: Path,
     *,
-    others: Sequence[Sequence[Track]],
+    others: Sequence[OtherCamera],
+    names: Sequence[str],
     calibration: Sequence[CalibratedCamera],
     units: str,
     pitch_deg: float | None,
@@ -155,8 +166,7 @@ def _reconstruct_video(
     listener = make_listener()
 
     def reconstruct(source: FoundAnnotations, resolved: ResolvedPeople, sequence: SequencePeople) -> None:
-        motion = resolved.frames.camera_motion.get(sequence.sequence_id)
-        tracks, is_steadied = steady_tracks(resolved, sequence)
+        tracks, motion = steady_tracks(resolved, sequence)
         known = [track.person_id for track in tracks]
         if unknown := sorted(set(person_ids) - set(known)):
             raise InputError(f"the input has no person {unknown[0]}; people: {', '.join(map(str, known)) or 'none'}")
@@ -168,13 +178,24 @@ def _reconstruct_video(
             name: stature for name, stature in (read_statures(statures, shown) | named_m).items() if name in shown
         }
         options = SequenceOptions(has_clean_up=has_clean_up, statures_m=stated_m)
+        footage, cameras = [Footage(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
         if others:
-            on_camera = Steps(listener, 1 + len(others))
             together = reconstruct_views(
-                [tracks, *others], searched, camera, options, calibration=calibration, on_camera=on_camera
+                [tracks, *(other.tracks for other in others)],
+                searched,
+                camera,
+                options,
+                names=names,
+                calibration=calibration,
+                on_camera=Steps(listener, 1 + len(others)),
             )
-            echo(f"{sequence.sequence_id}: {together.in_words()}")
-            reconstruction = Reconstruction(together.people, together.judged)
+            reconstruction, cameras = Reconstruction(together.people, together.judged), together.cameras
+            footage += [other.footage for other in others]
+            if calibration:
+                footage = [replace(shot, calibrated=given) for shot, given in zip(footage, calibration, strict=True)]
+            say([seen.in_words(upright_m(together.people)) for seen in cameras])
+            for line in together.left_out:
+                echo(line, err=True)
         else:
             on_step = Steps(listener, 1 + 2 * len(tracks))
             reconstruction = reconstruct_sequence(
@@ -182,10 +203,7 @@ def _reconstruct_video(
             )
         if not reconstruction.people.methods:
             raise InputError(f"nobody can be reconstructed: {next(iter(reconstruction.people.skipped.values()))}")
-        found_film = source if isinstance(source, FoundFilm) else None
-        written = write_reconstruction(
-            reconstruction, sequence, out, units=units, motion=motion if is_steadied else None, film=found_film
-        )
+        written = write_reconstruction(reconstruction, sequence, out, units=units, footage=footage, cameras=cameras)
         say(format_table(_HEADER, written.rows, text_columns=(0, len(_HEADER) - 1)))
         echo(
             f"{written.decisions}: identities; to correct them, edit a copy and give it with --set people_file=COPY",

@@ -13,11 +13,13 @@ import numpy as np
 from flows.exports.casts import Rig
 from flows.exports.export_format import FileNames, write_text
 from flows.exports.glb_figures import glb_person
-from pasdedeux.arrays import Array
-from pasdedeux.evaluation.motion_players import reconstruction_player
-from pasdedeux.evaluation.pictures import PLAYER, Picture, shown_frames
+from pasdedeux.arrays import Array, Integers
+from pasdedeux.evaluation.motion_players import seen_player
+from pasdedeux.evaluation.pictures import PLAYER, Picture
+from pasdedeux.evaluation.pictures import shown_frames as thinned_frames
 from pasdedeux.film.drawing import blur_faces, draw_people, moving_svg
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.glb import GlbCamera, write_glb
 from pasdedeux.formats.humanoid import AXES, units_text, write_npz
@@ -25,9 +27,9 @@ from pasdedeux.kinematics.rotations import unitquat_from_rotmat
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import SequencePeople
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.reconstruction.body import soles_m
 from pasdedeux.reconstruction.people import ReconstructedPeople
 from pasdedeux.reconstruction.sequence import Reconstruction
+from pasdedeux.reconstruction.views.seen import SeenBy, camera_facts, seen_alone, shown_frames, upright_m
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Verdict
 from tasks.data import player_page
@@ -54,14 +56,34 @@ class WrittenReconstruction:
     page: Path
 
 
+@dataclass(frozen=True)
+class Footage:
+    """What is at hand of a camera beside its keypoints.
+
+    Args:
+        motion: How the camera moves, where that was subtracted.
+        film: The shot, where it is film.
+        calibrated: The camera, where a calibration was given.
+    """
+
+    motion: CameraMotion | None = None
+    film: FoundFilm | None = None
+    calibrated: CalibratedCamera | None = None
+
+    def image_px(self, frames: Integers, px: Array) -> Array:
+        """Return where what a steady camera without distortion sees at pixels (frame, *batch, 2) is in its images."""
+        px = px if self.calibrated is None else self.calibrated.distorted_px(px)
+        return px if self.motion is None else self.motion.image_px(frames, px)
+
+
 def write_reconstruction(
     reconstruction: Reconstruction,
     sequence: SequencePeople,
     out: Path,
     *,
     units: str,
-    motion: CameraMotion | None = None,
-    film: FoundFilm | None = None,
+    footage: Sequence[Footage] = (Footage(),),
+    cameras: Sequence[SeenBy] = (),
 ) -> WrittenReconstruction:
     """Write the files of one sequence; those of an earlier call are replaced.
 
@@ -70,18 +92,21 @@ def write_reconstruction(
         sequence: What was decided of the sequence.
         out: Folder; made where it is not there.
         units: Unit of lengths in BVH files, "cm" or "m".
-        motion: How the camera moves, where that was subtracted.
-        film: The shot that shows them, where it is one.
+        footage: What is at hand of each camera.
+        cameras: The cameras where there are several.
     """
     out.mkdir(parents=True, exist_ok=True)
-    names, people = FileNames(out), reconstruction.people
+    names, people, motion = FileNames(out), reconstruction.people, footage[0].motion
+    cameras = cameras or [seen_alone(people)]
+    placed_m = upright_m(people)
     rows: list[tuple[str, ...]] = []
     for name, judged in reconstruction.judged.people.items():
         human = people.motions[name]
         path = write_text(names.path(sequence.sequence_id, name, suffix=".bvh"), human.bvh(units))
         frames = human.first_frame + np.arange(human.motion.num_frames)
         steady = {} if motion is None else {"steady_from_image": motion.at(frames)}
-        path.with_suffix(".npz").write_bytes(write_npz(human, **people.camera_facts, **steady))
+        facts = {**people.camera_facts, **camera_facts(cameras, placed_m), **steady}
+        path.with_suffix(".npz").write_bytes(write_npz(human, **facts))
         (track,) = (person.track for person in people.methods[-1].people if person.person_id == name)
         rows.append(
             (
@@ -103,83 +128,80 @@ def write_reconstruction(
     decisions = names.path(sequence.sequence_id, "people", suffix=".csv")
     write_text(decisions, write_decisions(sequence.decisions))
     page = names.path(sequence.sequence_id, suffix=".html")
-    page.with_suffix(".glb").write_bytes(_glb(people))
-    pictures, said = [_shown(people, sequence.sequence_id)], [motion.in_words()] if motion is not None else []
-    if film is not None and film.parameters.is_constant_rate:
-        pictures.append(_over_film(people, film, film.resolve().frames, motion))
+    page.with_suffix(".glb").write_bytes(_glb(people, cameras))
+    rate_hz = people.methods[-1].people[0].track.rate_hz
+    caption = (
+        f"{sequence.sequence_id}: the reconstruction over its 2D poses, and in the room (five seconds from the middle)."
+    )
+    pictures = [Picture(f"{sequence.sequence_id}{PLAYER}", caption, seen_player(placed_m, cameras, rate_hz=rate_hz))]
+    told = [seen.in_words(placed_m) for seen in cameras] if len(cameras) > 1 else []
+    said = [f"{words[0].upper()}{words[1:]}." for words in told]
+    said += [shot.motion.in_words() for shot in footage if shot.motion is not None]
+    for seen, shot in zip(cameras, footage, strict=True):
+        if shot.film is not None and shot.film.parameters.is_constant_rate:
+            pictures.append(_over_film(people, placed_m, seen, shot, shot.film))
     write_text(page, player_page(sequence.sequence_id, pictures, said))
     return WrittenReconstruction(rows, decisions, page)
 
 
-def _glb(people: ReconstructedPeople) -> bytes:
-    """Return the people with bodies, and their camera, as a GLB file."""
-    camera, figures = people.camera, []
+def _glb(people: ReconstructedPeople, cameras: Sequence[SeenBy]) -> bytes:
+    """Return the people with bodies, and their cameras, as a GLB file."""
+    figures, seen_by = [], []
     for name, human in people.motions.items():
         height_m = float(body_height_m(BODY22, np.linalg.norm(human.motion.rest_offsets_m, axis=-1)))
         figures.append(glb_person(f"person {name}", Rig(human.motion, height_m)))
-    width, height = camera.image_size_px
-    seen_by = GlbCamera(
-        camera.position_m,
-        unitquat_from_rotmat(camera.camera_from_world_rotmat.T),
-        2.0 * math.atan(0.5 * height / camera.focal_px),
-        width / height,
-    )
+    for seen in cameras:
+        width, height = seen.camera.image_size_px
+        seen_by.append(
+            GlbCamera(
+                "camera" if len(cameras) == 1 else f"camera {seen.name}",
+                seen.camera.position_m,
+                unitquat_from_rotmat(seen.camera.camera_from_world_rotmat.T),
+                2.0 * math.atan(0.5 * height / seen.camera.focal_px),
+                width / height,
+            )
+        )
     facts = {"unit": "m", "axes": AXES, "rate_hz": figures[0].motion.rate_hz}
-    return write_glb(figures, copyright_text="", facts=facts, camera=seen_by)
+    return write_glb(figures, copyright_text="", facts=facts, cameras=seen_by)
 
 
-def _over_film(
-    people: ReconstructedPeople, film: FoundFilm, seen: AnnotatedFrames, motion: CameraMotion | None
-) -> Picture:
-    """Show the reconstruction over the images of its film, from the middle of it, faces blurred."""
-    tracks, camera = people.methods[-1].people, people.camera
-    first = film.parameters.first_number + film.parameters.first_frame
-    rows: list[tuple[int, int, Array]] = []
-    for person in tracks:
-        px = _projected_px(person.positions_m, camera.principal_point_px, camera.focal_px)
-        px = px if motion is None else motion.image_px(person.track.frames, px)
-        rows += [(int(frame), person.person_id, points) for frame, points in zip(person.track.frames, px, strict=True)]
-    frame, person_id, points = (np.array(column) for column in zip(*rows, strict=True))
-    drawn_over = AnnotatedFrames("op14", ("film",) * len(rows), frame, person_id, points, np.ones(points.shape[:2]))
-    rate_hz = tracks[0].track.rate_hz
-    chosen, shown_hz = shown_frames(int(np.ptp(frame)) + 1, rate_hz)
-    wanted, images = set((frame.min() + chosen).tolist()), []
+def _over_film(people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot: Footage, film: FoundFilm) -> Picture:
+    """Show the reconstruction over the images of a film of it, from the middle of it, faces blurred."""
+    tracks, first = people.methods[-1].people, film.parameters.first_number + film.parameters.first_frame
+    times_s = (
+        tracks[0].track.first_time_s + (shown_frames(people) - tracks[0].track.first_frame) / tracks[0].track.rate_hz
+    )
+    ends = (
+        np.ceil((times_s[0] - seen.first_time_s) * seen.rate_hz - 1e-6),
+        np.floor((times_s[-1] - seen.first_time_s) * seen.rate_hz + 1e-6),
+    )
+    numbers = np.arange(int(ends[0]), int(ends[1]) + 1)
+    flat = placed_m.reshape(len(times_s), -1)
+    moments_s = seen.first_time_s + numbers / seen.rate_hz
+    moved_m = np.stack([np.interp(moments_s, times_s, values) for values in flat.T], axis=-1)
+    px = shot.image_px(numbers, seen.camera.project(moved_m.reshape(len(numbers), *placed_m.shape[1:])).px)
+    frame, person = (index.reshape(-1) for index in np.indices(px.shape[:2]))
+    is_there = np.isfinite(px).all(axis=(2, 3)).reshape(-1)
+    ids = np.array([track.person_id for track in tracks])
+    points = px.reshape(-1, *px.shape[2:])[is_there]
+    drawn_over = AnnotatedFrames(
+        "op14",
+        ("film",) * len(points),
+        numbers[frame[is_there]],
+        ids[person[is_there]],
+        points,
+        np.ones(points.shape[:2]),
+    )
+    chosen, shown_hz = thinned_frames(len(numbers), seen.rate_hz)
+    wanted, images, annotated = set(numbers[chosen].tolist()), [], film.resolve().frames
     for number, image in enumerate(shot_images(film.parameters, film.files), start=first):
         if number in wanted:
-            drawn = draw_people(blur_faces(image.image, seen, number), drawn_over, number)
+            drawn = draw_people(blur_faces(image.image, annotated, number), drawn_over, number)
             size = [max(1, round(side * min(1.0, _FILM_PX / max(drawn.shape[:2])))) for side in drawn.shape[1::-1]]
             images.append(np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))
-    caption = f"{film.parameters.id}: the reconstruction, seen by its camera, over the film; faces are blurred."
-    return Picture(f"{film.parameters.id}-film.svg", caption, moving_svg(images, shown_hz))
-
-
-def _projected_px(positions_m: Array, middle_px: Sequence[float] | Array, focal_px: float) -> Array:
-    """Return where points (*batch, 3) in camera axes are in the image, pixels."""
-    return np.asarray(
-        np.asarray(middle_px) + focal_px * positions_m[..., :2] / np.maximum(-positions_m[..., 2:], 1e-3) * (1, -1)
-    )
-
-
-def _shown(people: ReconstructedPeople, sequence_id: str) -> Picture:
-    """Show the people of a sequence upright, beside the 2D poses that they were found in."""
-    made, lens_factor = people.methods[-1], 1.0 if people.scene is None else people.scene.lens_factor
-    origin_m, soles = made.origin_m, soles_m(made.bodies)
-    frames = np.unique(np.concatenate([person.track.frames for person in made.people]))
-    shape = len(frames), len(made.people), 14
-    upright_m, seen_px, projected_px = (np.full((*shape, axes), np.nan) for axes in (3, 2, 2))
-    for number, person in enumerate(made.people):
-        at, lens = np.searchsorted(frames, person.track.frames), person.track.lens
-        upright_m[at, number] = (person.positions_m - origin_m) @ people.camera_from_upright_rotmat + [0.0, soles, 0.0]
-        seen_px[at, number] = person.track.keypoints_px
-        projected_px[at, number] = _projected_px(
-            person.positions_m, lens.principal_point_px, lens_factor * lens.focal_px
-        )
-    rate_hz = made.people[0].track.rate_hz
-    player = reconstruction_player(
-        upright_m, rate_hz=rate_hz, keypoints_px=seen_px, projected_px=projected_px, has_floor=True
-    )
-    caption = f"{sequence_id}: the reconstruction over its 2D poses, and in the room (five seconds from the middle)."
-    return Picture(f"{sequence_id}{PLAYER}", caption, player)
+    name = film.parameters.id
+    caption = f"{name}: the reconstruction, seen by its camera, over the film; faces are blurred."
+    return Picture(f"{name}-film.svg", caption, moving_svg(images, shown_hz))
 
 
 def _in_words(verdict: Verdict) -> str:

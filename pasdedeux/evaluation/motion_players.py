@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from pasdedeux.evaluation.pictures import pack_player, people_panel, shown_frame
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.views.seen import SeenBy
 from pasdedeux.skeletons import OP14
 
 MAX_LINKS = 10
@@ -35,13 +37,7 @@ def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[n
 
 
 def reconstruction_player(
-    found_m: Array,
-    *,
-    rate_hz: float,
-    keypoints_px: Array | None = None,
-    truth_m: Array | None = None,
-    projected_px: Array | None = None,
-    has_floor: bool = False,
+    found_m: Array, *, rate_hz: float, keypoints_px: Array | None = None, truth_m: Array | None = None
 ) -> bytes:
     """Show people as they were reconstructed over the ground truth, and the image that they were found in.
 
@@ -52,33 +48,51 @@ def reconstruction_player(
         rate_hz: Frames per second.
         keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
         truth_m: The true motion (frame, person, 14, 3), the same axes, where it is known.
-        projected_px: Where the reconstruction is in the image (frame, person, 14, 2), drawn over its keypoints.
-        has_floor: The floor, y = 0, is drawn, and people stay where they are on it.
     """
     frames, shown_hz = shown_frames(len(found_m), rate_hz)
     shown = about_hips(found_m[frames])
     panels, labels = [], []
     if keypoints_px is not None:
-        seen = keypoints_px[frames] * [1.0, -1.0]
-        size = _height(shown) / max(_height(seen), 1e-9)
-        middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
-        image = np.insert((seen - middle) * size, 2, 0.0, -1)
-        if projected_px is None:
-            panel = people_panel("image", OP14, image)
-        else:
-            over = np.insert((projected_px[frames] * [1.0, -1.0] - middle) * size, 2, 0.0, -1)
-            panel = people_panel("over its 2D poses (grey)", OP14, over, truth_m=image)
-        panels.append(replace(panel, is_flat=True))
+        (image,) = _about_middle(keypoints_px[frames], _height(shown))
+        panels.append(replace(people_panel("image", OP14, image), is_flat=True))
     truth = None if truth_m is None else about_hips(truth_m[frames])
     if truth is not None:
         for frame, error in zip(frames, 100.0 * np.linalg.norm(shown - truth, axis=-1), strict=True):
             known = error[np.isfinite(error)]
             labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
     title = "reconstruction" if truth is None else "reconstruction, ground truth in grey"
-    if has_floor:
-        shown = found_m[frames] - np.nanmean(found_m[frames], axis=(0, 1, 2)) * [1.0, 0.0, 1.0]
     panels.append(people_panel(title, OP14, shown, truth_m=truth))
-    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=has_floor)
+    return pack_player(panels, rate_hz=shown_hz, labels=labels, has_floor=False)
+
+
+def seen_player(found_m: Array, cameras: Sequence[SeenBy], *, rate_hz: float) -> bytes:
+    """Show reconstructed people over the keypoints of each camera, and in the room.
+
+    Args:
+        found_m: The reconstruction (frame, person, 14, 3), upright, floor at y = 0, metres; NaN where nobody is there.
+        cameras: The cameras, with keypoints of the same frames.
+        rate_hz: Frames per second.
+    """
+    frames, shown_hz = shown_frames(len(found_m), rate_hz)
+    shown = found_m[frames] - np.nanmean(found_m[frames], axis=(0, 1, 2)) * [1.0, 0.0, 1.0]
+    panels = []
+    for seen in cameras:
+        image, over = _about_middle(seen.keypoints_px[frames], _height(shown), seen.camera.project(found_m[frames]).px)
+        title = "over its 2D poses (grey)" if len(cameras) == 1 else f"{seen.name}: over its 2D poses (grey)"
+        direction = seen.camera.camera_from_world_rotmat[2]
+        view_rad = float(np.arctan2(-direction[0], direction[2])), float(np.arcsin(np.clip(direction[1], -1.0, 1.0)))
+        view = (seen.name, *view_rad) if len(cameras) > 1 else None
+        panels.append(replace(people_panel(title, OP14, over, truth_m=image), is_flat=True, view=view))
+    panels.append(people_panel("reconstruction", OP14, shown))
+    return pack_player(panels, rate_hz=shown_hz)
+
+
+def _about_middle(seen_px: Array, height: float, *others_px: Array) -> list[Array]:
+    """Return people of an image (frame, person, joint, 2), and others over them, about their middle, y up, z = 0."""
+    seen = seen_px * [1.0, -1.0]
+    middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
+    size = height / max(_height(seen), 1e-9)
+    return [np.insert((points * [1.0, -1.0] - middle) * size, 2, 0.0, -1) for points in (seen_px, *others_px)]
 
 
 def about_hips(positions_m: Array) -> Array:

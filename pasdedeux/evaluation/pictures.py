@@ -233,7 +233,8 @@ class ShownPerson:
 class PlayerPanel:
     """What is shown beside others: a title, people, ends (frame, n, 2, 3) of contacts and of objects' axes, NaN: none.
 
-    A flat panel is not turned: it shows an image, whose middle is the origin.
+    A flat panel is not turned: it shows an image, whose middle is the origin.  Of several cameras a reader may choose
+    one: `view` has its name, and the yaw and pitch from which it sees the panels that are not flat.
     """
 
     title: str
@@ -241,6 +242,7 @@ class PlayerPanel:
     links_m: Array | None = None
     objects_m: Array | None = None
     is_flat: bool = False
+    view: tuple[str, float, float] | None = None
 
 
 def people_panel(
@@ -330,7 +332,8 @@ def pack_player(
         ):
             if ends is not None and ends.size:
                 lines.append({"start": add(ends), "num_lines": ends.shape[1], "colour": colour, "width": width})
-        described.append({"title": panel.title, "figures": figures, "lines": lines, "is_flat": panel.is_flat})
+        view = {} if panel.view is None else {"view": panel.view}
+        described.append({"title": panel.title, "figures": figures, "lines": lines, "is_flat": panel.is_flat, **view})
     points = np.concatenate(parts, axis=1) if parts else np.zeros((0, 0, 3))
     points = np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, np.nan)
     unit = (

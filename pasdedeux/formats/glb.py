@@ -65,12 +65,14 @@ class GlbCamera:
     """A camera of a scene, which looks along its own -z, y up.
 
     Args:
+        name: What it is called.
         position_m: Where it is (3,).
         world_from_camera_unitquat: How it is turned (4,).
         height_rad: Angle from the lower to the upper edge of its image.
         aspect: Width over height of its image.
     """
 
+    name: str
     position_m: Array
     world_from_camera_unitquat: Array
     height_rad: float
@@ -100,7 +102,7 @@ class _Buffer:
 
 
 def write_glb(
-    people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[str, Any], camera: GlbCamera | None = None
+    people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[str, Any], cameras: Sequence[GlbCamera] = ()
 ) -> bytes:
     """Return people who move in one world as binary glTF: metres, Y up, each a skin over its own joints.
 
@@ -108,7 +110,7 @@ def write_glb(
         people: The people, all with as many frames and one rate.
         copyright_text: Licence and credit.
         facts: What else must be known, for the `extras` of the asset.
-        camera: The camera that saw them, where there was one.
+        cameras: The cameras that saw them, where there were any.
     """
     buffer, nodes = _Buffer(), list[dict[str, Any]]()
     rate_hz = people[0].motion.rate_hz
@@ -150,17 +152,18 @@ def write_glb(
         nodes.append({"name": f"{person.name} body", "mesh": number, "skin": number})
         nodes.append({"name": person.name, "children": [first + skeleton.root, len(nodes) - 1]})
         roots.append(len(nodes) - 1)
-    cameras = {} if camera is None else {"cameras": [_camera(camera)]}
-    if camera is not None:
+    for number, camera in enumerate(cameras):
         roots.append(len(nodes))
         turn = camera.world_from_camera_unitquat.tolist()
-        nodes.append({"name": "camera", "camera": 0, "translation": camera.position_m.tolist(), "rotation": turn})
+        nodes.append(
+            {"name": camera.name, "camera": number, "translation": camera.position_m.tolist(), "rotation": turn}
+        )
     tree = {
         "asset": {"version": "2.0", "generator": "pasdedeux", "copyright": copyright_text, "extras": facts},
         "scene": 0,
         "scenes": [{"nodes": roots}],
         "nodes": nodes,
-        **cameras,
+        **({"cameras": [_camera(camera) for camera in cameras]} if cameras else {}),
         "meshes": meshes,
         "skins": skins,
         "materials": [
@@ -180,7 +183,7 @@ def write_glb(
 
 def _camera(camera: GlbCamera) -> dict[str, Any]:
     lens = {"yfov": camera.height_rad, "aspectRatio": camera.aspect, "znear": 0.05}
-    return {"name": "camera", "type": "perspective", "perspective": lens}
+    return {"name": camera.name, "type": "perspective", "perspective": lens}
 
 
 def _translations(person: GlbPerson) -> Array:

@@ -67,5 +67,6 @@ def units_text(human: HumanoidMotion, units: str) -> str:
         "others the pose is interpolated or, before and after, held.\n"
         "`camera_...` of the npz and the camera of the GLB file are in the same axes; a camera looks along its own -z, "
         "x right, y up. Of film of a camera that moves they are those of its steady image, and `steady_from_image` "
-        "(frame, 3, 3) takes pixels (x, y, 1) of each frame to it, a homography.\n"
+        "(frame, 3, 3) takes pixels (x, y, 1) of each frame to it, a homography. `cameras_...` has all cameras where "
+        "several saw the take.\n"
     )

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from flows.exports.reconstructions import Footage, write_reconstruction
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
@@ -17,14 +22,21 @@ from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotvec_from_unitquat, unitquat_from_rotmat
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.reconstruction.sequence import SearchedDatabase
+from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase
+from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.reconstruction.views.calibration import View, calibrate, meet
 from pasdedeux.reconstruction.views.clocks import Rising, match_cameras
 from pasdedeux.reconstruction.views.fit import RayTerm
+from pasdedeux.reconstruction.views.seen import camera_facts, upright_m
 from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
 from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.run import find_videos
 from tests.builders.cameras_of_a_take import Seen, database_of_duets, duet_m, errors_m, see
+from tests.builders.pages import Page
+from tests.builders.rendered_film import write_film
 from tests.builders.walkers_on_video import build_store, reference, write_walkers
 
 
@@ -73,7 +85,25 @@ def test_two_unknown_cameras_tell_poses_and_places(
     turned = second.camera_from_world_rotmat @ first.camera_from_world_rotmat.T
     assert np.arccos(np.clip((np.trace(together.views[1].rotmat @ turned.T) - 1.0) / 2.0, -1.0, 1.0)) < 0.06
     assert together.off_m < 0.02
-    assert "2 cameras: joints are " in together.in_words()
+
+
+def test_each_camera_is_told_in_the_frame_of_the_motions(together: SeenTogether, seen: list[Seen]) -> None:
+    placed_m, cameras = upright_m(together.people), together.cameras
+    assert [one.name for one in cameras] == ["1", "2"]
+    for one, true in zip(cameras, seen, strict=True):
+        assert one.off_px(placed_m) < 8.0
+        assert one.camera.focal_px == pytest.approx(true.camera.focal_px, rel=0.15)
+        assert abs(one.first_time_s + true.ahead_s) < 0.5 / 30.0
+    assert np.rad2deg(cameras[1].angle_rad) == pytest.approx(80.0, abs=4.0)
+    apart_m = np.linalg.norm(np.subtract(*(one.camera.position_m for one in cameras)))
+    assert apart_m == pytest.approx(2.0 * 4.5 * np.sin(np.deg2rad(40.0)), rel=0.1)
+    said = [one.in_words(placed_m) for one in cameras]
+    assert re.match(r"camera 1: \d\.\d m from the people, lens \d+ px \(\d+ degrees\); joints are \d\.\d px", said[0])
+    assert re.search(r"its clock [+-]\d\.\d\d s, \d\d degrees from the first camera; joints", said[1])
+    facts = camera_facts(cameras, placed_m)
+    assert {name: len(values) for name, values in facts.items()} == dict.fromkeys(facts, 2)
+    np.testing.assert_allclose(facts["cameras_position_m"][0], together.people.camera_facts["camera_position_m"])
+    assert camera_facts(cameras[:1], placed_m) == {}
 
 
 def test_bones_keep_their_lengths_before_several_cameras(together: SeenTogether) -> None:
@@ -89,8 +119,26 @@ def test_what_is_expected_of_several_cameras_holds(
     expected = [one.expected_error_m for one in together.judged.people.values()]
     assert 0.5 * pose_m < np.mean(expected) < 2.0 * pose_m
     assert {one.verdict.level for one in together.judged.people.values()} == {Level.PASS}
-    apart = replace(together, off_m=0.12)
-    assert {verdict.level for verdict in apart.judged.verdicts.values()} == {Level.WARN}
+    for apart in (replace(together, off_m=0.12), replace(together, bones_vary=0.12)):
+        assert {verdict.level for verdict in apart.judged.verdicts.values()} == {Level.WARN}
+
+
+def test_cameras_of_two_takes_are_refused(seen: list[Seen], database: SearchedDatabase) -> None:
+    other = see(duet_m("judo"), (20.0, 100.0))[1]
+    with pytest.raises(
+        InputError, match=r"cameras front and side: they do not show the same people|front, side do not"
+    ):
+        reconstruct_views([seen[0].tracks, other.tracks], database, names=["front", "side"])
+
+
+def test_cameras_that_see_other_joints_are_refused(truth_m: np.ndarray) -> None:
+    px = truth_m[::40, ..., :2] * 300.0
+    is_upper = np.zeros(px.shape[:-1])
+    is_upper[..., :8] = 1.0
+    lens = Lens(800.0, (480.0, 270.0))
+    views = [View(lens, np.eye(3), np.zeros(3), 0.0, px, 0.0 * px, one) for one in (is_upper, 1.0 - is_upper)]
+    with pytest.raises(InputError, match="no two cameras see the same 5 joints of a person at one time"):
+        calibrate(views, np.array([1.7, 1.7]), 30.0)
 
 
 def test_calibrated_cameras_give_true_sizes(seen: list[Seen], database: SearchedDatabase, truth_m: np.ndarray) -> None:
@@ -127,6 +175,8 @@ def test_people_who_move_otherwise_are_not_the_same() -> None:
     first, second = ({0: Rising(0.0, rng.standard_normal((90, 14)), np.ones(90, dtype=bool))} for _ in range(2))
     with pytest.raises(InputError, match="do not show the same people at the same time"):
         match_cameras(first, second, 30.0)
+    with pytest.raises(InputError, match="they show nobody for 1 s together, or for half of the shorter film"):
+        match_cameras(first, {0: replace(second[0], is_known=np.arange(90) % 9 == 0)}, 30.0)
     late = {4: replace(first[0], first_s=7.0, speed_m_s=first[0].speed_m_s[15:], is_known=np.ones(75, dtype=bool))}
     same = match_cameras(first, late, 30.0)
     assert same.person_ids == {4: 0}
@@ -201,6 +251,73 @@ def test_bad_calibrations_are_named(text: str, says: str) -> None:
         read_calibration(text.encode())
 
 
+def test_the_page_shows_the_film_of_a_camera_with_another_clock(
+    together: SeenTogether, seen: list[Seen], tmp_path: Path
+) -> None:
+    """The film has the first 24 frames of the second camera."""
+    film = write_film(tmp_path / "side.avi", [np.full((540, 960, 3), 90, dtype=np.uint8)] * 24)
+    lines = [
+        f"{frame},{track.person_id},{name},{x},{y}"
+        for track in seen[1].tracks
+        for frame, points in enumerate(track.keypoints_px[:24])
+        for name, (x, y) in zip(OP14.joint_names, points, strict=True)
+    ]
+    head = ("# layout: op14", "# image_size: 960x540", "# rate_hz: 30", "frame,person,joint,x,y")
+    (tmp_path / "side.csv").write_text("\n".join([*head, *lines]))
+    (found,) = find_videos(FilmOptions(id="side", path=film, detections=tmp_path / "side.csv"))
+    written = write_reconstruction(
+        Reconstruction(together.people, together.judged),
+        found.resolve().sequences[0],
+        tmp_path / "out",
+        units="cm",
+        footage=[Footage(), Footage(film=found)],
+        cameras=together.cameras,
+    )
+    page = Page(written.page.read_text())
+    assert (page.problems, page.outside, page.unnamed) == ([], [], [])
+    views = [panel.get("view") for panel in page.scenes[0]["panels"]]
+    assert [view and view[0] for view in views] == ["1", "2", None]
+    assert np.rad2deg(abs(views[0][1] - views[1][1])) == pytest.approx(80.0, abs=4.0)
+    assert np.rad2deg(views[0][2]) == pytest.approx(np.rad2deg(0.12), abs=4.0)
+    # People are drawn where the camera sees them, from the first frame on that both clocks have.
+    (svg,) = page.figures
+    jpeg = base64.b64decode(re.findall(rb"base64,([^\"]+)", svg)[0])
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).astype(np.float64)
+    drawn = np.argwhere(np.abs(image - 90.0).max(axis=-1) > 40.0)[:, ::-1]
+    first = max(0, int(np.ceil(seen[1].ahead_s * 30.0)))
+    true_px = np.concatenate([track.keypoints_px[first] for track in seen[1].tracks]) / 2.0
+    np.testing.assert_allclose(
+        [drawn.min(axis=0), drawn.max(axis=0)], [true_px.min(axis=0), true_px.max(axis=0)], atol=20
+    )
+
+
+def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_shows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, out, front, side = build_store(tmp_path / "store"), tmp_path / "out", tmp_path / "front", tmp_path / "side"
+    for folder, yaw_rad in ((front, 0.3), (side, 1.6)):
+        folder.mkdir()
+        write_walkers(folder, yaw_rad=yaw_rad)
+    rows = ["# layout: coco17", "# image_size: 1920x1080", "# rate_hz: 30", "frame,person,joint,x,y"]
+    names = KEYPOINT_LAYOUTS["coco18"].keypoint_names
+    for frame, path in enumerate(sorted(side.iterdir())):
+        people = [np.array(one["pose_keypoints_2d"]).reshape(18, 3) for one in json.loads(path.read_text())["people"]]
+        leftmost = min(people, key=lambda points: points[8, 0])
+        rows += [
+            f"{frame},7,{name},{x},{y}"
+            for name, (x, y, seen) in zip(names, leftmost, strict=True)
+            if seen and name != "neck"
+        ]
+    (tmp_path / "side.csv").write_text("\n".join(rows))
+    command = ["reconstruct", str(front), *reference(store), "--set", "image_size_px=[1920, 1080]", "--out", str(out)]
+    assert run_command_line([*command, "--camera", str(tmp_path / "side.csv")]) == 0
+    said = capsys.readouterr()
+    assert len(list(out.glob("*.bvh"))) == 1
+    assert "was skipped: no other camera shows this person" in said.err
+    assert run_command_line([*command[:1], str(tmp_path / "side.csv"), *command[2:], "--camera", str(front)]) == 0
+    assert re.search(r"camera front: person \d is nobody whom camera side shows", capsys.readouterr().err)
+
+
 def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store, out = build_store(tmp_path / "store"), tmp_path / "out"
     folders = [tmp_path / name for name in ("front", "side")]
@@ -211,11 +328,22 @@ def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.C
     command = ["reconstruct", front, *reference(store), "--set", "image_size_px=[1920, 1080]", "--out", str(out)]
     assert run_command_line([*command, "--camera", side]) == 0
     said = capsys.readouterr()
-    assert "2 cameras: joints are 0." in said.out
-    assert "turned by 7" in said.out
+    assert re.search(r"camera front: .*; joints are \d\.\d px \(median\)", said.out)
+    assert re.search(r"camera side: .* 7\d degrees from the first camera; joints are \d\.\d px", said.out)
     assert sorted(path.suffix for path in out.iterdir()).count(".bvh") == 2
     facts = read_npz(next(out.glob("*_0.npz")).read_bytes(), "the motion")
     assert facts["camera_position_m"].shape == (3,)
+    assert facts["cameras_name"].tolist() == ["front", "side"]
+    assert facts["cameras_off_px"].max() < 20.0
+    glb = (out / "front.glb").read_bytes()
+    scene = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
+    placed = {node["name"]: node["translation"] for node in scene["nodes"] if "camera" in node}
+    assert [camera["name"] for camera in scene["cameras"]] == ["camera front", "camera side"] == list(placed)
+    np.testing.assert_allclose(list(placed.values()), facts["cameras_position_m"])
+    page = Page((out / "front.html").read_text())
+    assert (page.problems, page.outside) == ([], [])
+    assert [panel["is_flat"] for panel in page.scenes[0]["panels"]] == [True, True, False]
+    assert "Camera side: " in page.text
     assert run_command_line([*command, "--camera", str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err
     assert run_command_line([*command, "--camera", side, "--calibration", "/dev/zero"]) == 2

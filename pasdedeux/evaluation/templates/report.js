@@ -122,7 +122,23 @@ class Player {
     this.frame = this.first = this.touching();
     this.home = [this.across(), this.scene.has_floor ? 0.2 : 0];
     [this.yaw, this.pitch, this.zoom] = [...this.home, 1];
+    this.chooseView(figure.querySelector("select.view"));
     new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  // Of several cameras one is shown, beside the room as it sees it, or all of them.
+  chooseView(list) {
+    const views = this.scene.panels.flatMap(({ view }) => (view ? [view] : []));
+    this.shown = this.scene.panels;
+    if (views.length < 2) return;
+    list.hidden = false;
+    for (const name of ["all cameras", ...views.map(([name]) => name)]) list.add(new Option(name));
+    list.addEventListener("change", () => {
+      const chosen = views[list.selectedIndex - 1];
+      this.shown = this.scene.panels.filter(({ view }) => !view || !chosen || view === chosen);
+      [this.yaw, this.pitch] = chosen ? chosen.slice(1) : this.home;
+      this.draw();
+    });
   }
 
   press(event) {
@@ -229,7 +245,7 @@ class Player {
   }
 
   draw() {
-    const ratio = window.devicePixelRatio || 1, width = this.canvas.clientWidth, panels = this.scene.panels;
+    const ratio = window.devicePixelRatio || 1, width = this.canvas.clientWidth, panels = this.shown;
     if (!width) return;
     const columns = Math.max(1, Math.min(panels.length, Math.floor(width / 150)));
     const rows = Math.ceil(panels.length / columns), cell = width / columns, tall = Math.min(340, Math.max(190, cell));

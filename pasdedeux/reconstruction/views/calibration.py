@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import body_height_m
@@ -30,6 +31,8 @@ _BONE_DEVIATION = 0.08
 _LENS_DEVIATION, _CLOCK_DEVIATION_S = 0.3, 0.1
 _ALIKE_S = 0.7
 """Frames within this time err alike."""
+_MIN_SHARED = 5
+"""Joints of a person that two cameras must see at one time."""
 _MAX_FRAMES = 60
 """Frames that cameras are calibrated from, evenly chosen, at most."""
 
@@ -131,10 +134,15 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
         views: Views as they are first taken to be; the first one keeps place, rotation and clock.
         statures_m: Stature of each person (person,), which sets the scale.
         rate_hz: Frames per second of the first camera.
+
+    Raises:
+        InputError: At no time two views see enough of the same joints of a person.
     """
     from scipy.optimize import least_squares  # here: planning does not need it
 
     shown = _frames_of_several(views)
+    if not len(shown):
+        raise InputError(f"no two cameras see the same {_MIN_SHARED} joints of a person at one time")
     part = [view.chosen(shown) for view in views]
     free = _free(views)
     is_scaled = any(view.is_calibrated for view in views[1:])
@@ -187,7 +195,7 @@ def _free(views: Sequence[View]) -> Flags:
 
 
 def _frames_of_several(views: Sequence[View]) -> Integers:
-    """Return frames in which at least two views show a person, evenly chosen."""
-    counts = sum((view.confidence > 0).sum(axis=2) > 4 for view in views)
-    several = np.flatnonzero((np.asarray(counts) > 1).any(axis=1))
+    """Return frames in which two views or more show the same joints of a person, evenly chosen."""
+    is_shared = np.sum([view.confidence > 0 for view in views], axis=0) > 1
+    several = np.flatnonzero((is_shared.sum(axis=2) >= _MIN_SHARED).any(axis=1))
     return np.asarray(several[evenly_spread(len(several), _MAX_FRAMES)])

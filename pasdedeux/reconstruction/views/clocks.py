@@ -86,13 +86,18 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
     table = np.stack([[_correlations(a, b, lags, rate_hz) for b in second.values()] for a in first.values()])
     chosen = [linear_sum_assignment(-table[..., at]) for at in range(len(lags))]
     sums = np.array([table[*pairs, at].sum() for at, pairs in enumerate(chosen)])
+    if not table.any():
+        raise InputError(
+            f"they show nobody for {_MIN_SHARED_S:.0f} s together, or for half of the shorter film, whatever their "
+            "clocks show"
+        )
     best = int(np.argmax(sums))
     rows, columns = chosen[best]
     alike = [(row, column) for row, column in zip(rows, columns, strict=True) if table[row, column, best] > 0]
     mean = float(np.mean([table[row, column, best] for row, column in alike])) if alike else 0.0
     if mean < _MIN_CORRELATION:
         raise InputError(
-            "the cameras do not show the same people at the same time: nobody's joints move alike "
+            "they do not show the same people at the same time: nobody's joints move alike "
             f"(correlation {mean:.2f}, at least {_MIN_CORRELATION} is needed)"
         )
     names = list(first), list(second)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pasdedeux.arrays import Array
+from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.kinematics.forward import bone_lengths
@@ -27,14 +28,19 @@ from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.reconstruction.views.calibration import View, calibrate, lengths_of, meet
 from pasdedeux.reconstruction.views.clocks import Rising, SameTake, match_cameras
 from pasdedeux.reconstruction.views.fit import fit_person
+from pasdedeux.reconstruction.views.seen import SeenBy, seen_alone
 from pasdedeux.skeletons import OP14
 
 _NUM_PASSES = 4
 """Calibrations, each with keypoints taken at the clocks of the one before."""
 _SPEED_S = 0.1
 """Speeds of keypoints are over so long before and after: the noise of neighbours is larger than how far they move."""
-_DOUBTFUL_M = 0.04
-"""Joints that are farther from their rays are a warning: keypoints of 2 px of noise are 0.9 cm off."""
+_BAD_M, _DOUBTFUL_M = 0.15, 0.04
+"""Joints that are farther from their rays are refused, or a warning: keypoints of 2 px of noise are 1 cm off."""
+_BAD_BONES, _DOUBTFUL_BONES = 0.18, 0.1
+"""The same of how bones change their lengths where rays meet, upper quartile: 0.05 to 0.07 of duets and salsa with 2 px
+of noise, 0.12 to 0.14 with 5 px; 0.10 to 0.16 from cameras 7, 15 and 160 degrees apart, whose poses are 7 to 12 cm
+wrong; 0.08 to 0.21 if one camera shows another duet."""
 _MEAN_OVER_DEVIATION = float(np.sqrt(2.0 / np.pi))
 """Mean size of an error over its standard deviation."""
 _GIVEN_PITCH_RAD = 0.01
@@ -56,20 +62,35 @@ class SeenTogether:
     Args:
         people: The people before the first camera.
         views: All cameras, in its axes.
+        names: What they are called.
+        rates_hz: Their frames per second.
+        first_times_s: Times of their frames 0, each by its own clock.
         off_m: Median distance of joints from the rays in which they are seen.
+        bones_vary: By which part bones change their lengths where rays meet, upper quartile.
         is_scale_known: A stature is stated, or the cameras are calibrated.
+        left_out: People of other cameras whom the first one does not show, in words.
     """
 
     people: ReconstructedPeople
     views: tuple[View, ...]
+    names: tuple[str, ...]
+    rates_hz: tuple[float, ...]
+    first_times_s: tuple[float, ...]
     off_m: float
+    bones_vary: float
     is_scale_known: bool
+    left_out: tuple[str, ...] = ()
 
     @property
     def judged(self) -> Judged:
         """What is expected of it: joints are as far off as from their rays, and everything as much as the scale."""
         scale = KNOWN_DEVIATION if self.is_scale_known else STATURE_DEVIATION * _MEAN_OVER_DEVIATION
         doubts = [f"the cameras differ by {100 * self.off_m:.0f} cm"] if self.off_m > _DOUBTFUL_M else []
+        if self.bones_vary > _DOUBTFUL_BONES:
+            doubts.append(
+                f"lengths of bones change by {self.bones_vary:.0%}, as if the cameras stood too close together or "
+                "opposite each other, keypoints were inaccurate, or the takes were not the same"
+            )
         people, places = {}, {}
         tracks = self.people.methods[-1].people
         for number, person in enumerate(tracks):
@@ -91,16 +112,31 @@ class SeenTogether:
                 places[first.person_id, second.person_id] = Place(expected_m, tuple(doubts))
         return Judged(people, places)
 
-    def in_words(self) -> str:
-        """Say where the cameras were, and how well they agree."""
-        words = [f"{len(self.views)} cameras: joints are {100 * self.off_m:.1f} cm (median) from where each sees them"]
-        for number, view in enumerate(self.views[1:], start=2):
-            turned = np.rad2deg(np.arccos(np.clip(view.rotmat[2, 2], -1.0, 1.0)))
-            words.append(
-                f"camera {number} is {np.linalg.norm(view.position_m):.1f} m from the first, turned by {turned:.0f} "
-                f"degrees, its clock {view.offset_s:+.2f} s"
+    @property
+    def cameras(self) -> list[SeenBy]:
+        """The cameras in the frame of the motions, the first one first."""
+        first, people = seen_alone(self.people, self.names[0]), self.people.methods[-1].people
+        middle_m = np.mean(np.concatenate([person.root_m for person in people]), axis=0)
+        cameras = []
+        for name, view, rate_hz, first_time_s in zip(
+            self.names, self.views, self.rates_hz, self.first_times_s, strict=True
+        ):
+            x, y = view.lens.principal_point_px
+            placed = PinholeCamera(
+                focal_px=view.lens.focal_px,
+                principal_point_px=np.array([x, y]),
+                camera_from_world_rotmat=view.rotmat @ first.camera.camera_from_world_rotmat,
+                position_m=first.camera.position_m + view.position_m @ first.camera.camera_from_world_rotmat,
+                image_size_px=(max(round(2.0 * x), 1), max(round(2.0 * y), 1)),
             )
-        return "; ".join(words)
+            away_m, cosine = view.position_m - middle_m, 1.0
+            if away_m.any() and middle_m.any():
+                cosine = -(away_m @ middle_m) / (np.linalg.norm(away_m) * np.linalg.norm(middle_m))
+            angle_rad = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            cameras.append(
+                SeenBy(name, placed, view.px, rate_hz, first_time_s - view.offset_s, view.offset_s, angle_rad)
+            )
+        return cameras
 
 
 def reconstruct_views(
@@ -109,6 +145,7 @@ def reconstruct_views(
     stated: StatedCamera | None = None,
     options: SequenceOptions | None = None,
     *,
+    names: Sequence[str] = (),
     calibration: Sequence[CalibratedCamera] = (),
     on_camera: Callable[[], None] = lambda: None,
 ) -> SeenTogether:
@@ -119,18 +156,20 @@ def reconstruct_views(
         database: Poses that have not seen the take.
         stated: What is known of the first camera.
         options: Clean-up, and statures by the numbers of the first camera.
+        names: What the cameras are called, if not by their numbers from 1 on.
         calibration: The cameras where they are given, in any world in metres; else the people tell where they are.
         on_camera: Called when a camera is reconstructed alone.
 
     Raises:
-        InputError: Before a camera nobody can be reconstructed, the cameras do not show the same people, or their
-            number is not that of the calibration.
+        InputError: Before a camera nobody can be reconstructed, the cameras do not show the same people, they do not
+            agree, or their number is not that of the calibration.
     """
     options = options or SequenceOptions()
+    names = tuple(names or (str(number + 1) for number in range(len(cameras))))
     if calibration and len(calibration) != len(cameras):
         raise InputError(f"the calibration has {len(calibration)} cameras, and {len(cameras)} are given")
     alone = []
-    for number, tracks in enumerate(cameras):
+    for number, (name, tracks) in enumerate(zip(names, cameras, strict=True)):
         if calibration:
             tracks = [_calibrated(track, calibration[number]) for track in tracks]
         people = reconstruct_sequence(
@@ -140,29 +179,64 @@ def reconstruct_views(
             replace(options, has_clean_up=False, statures_m={} if number else options.statures_m),
         ).people
         if not people.methods:
-            raise InputError(f"camera {number + 1}: {next(iter(people.skipped.values()), 'it shows nobody')}")
+            raise InputError(f"camera {name}: {next(iter(people.skipped.values()), 'it shows nobody')}")
         alone.append(people)
         on_camera()
-    rate_hz = alone[0].methods[-1].people[0].track.rate_hz
-    rising = [_rising(people, rate_hz) for people in alone]
-    same = [match_cameras(rising[0], other, rate_hz) for other in rising[1:]]
-    names = sorted({name for take in same for name in take.person_ids.values()})
-    first_seen = [_of(alone[0], name) for name in names]
-    seen = [first_seen, *(_in_order(people, take, names) for people, take in zip(alone[1:], same, strict=True))]
+    tracks = [people.methods[-1].people[0].track for people in alone]
+    same = _match(names, alone, tracks[0].rate_hz)
+    person_ids = sorted({person_id for take in same for person_id in take.person_ids.values()})
+    first_seen = [_of(alone[0], person_id) for person_id in person_ids]
+    seen = [first_seen, *(_in_order(people, take, person_ids) for people, take in zip(alone[1:], same, strict=True))]
     times_s = _times(first_seen)
     statures_m = np.array([_stature_m(column, options) for column in zip(*seen, strict=True)])
     views = _first_views(alone, seen, [0.0, *(take.offset_s for take in same)], times_s, calibration)
     for _ in range(_NUM_PASSES):
-        views = calibrate(views, statures_m, rate_hz)
+        views = calibrate(views, statures_m, tracks[0].rate_hz)
         views = [
             replace(view, **_moments(shown, times_s + view.offset_s)._asdict())
             for view, shown in zip(views, seen, strict=True)
         ]
-    fitted, off_m = _fit_people(views, first_seen, times_s, rate_hz)
+    fitted, off_m = _fit_people(views, first_seen, times_s, tracks[0].rate_hz)
+    bones_vary = float(np.nanpercentile(np.abs(np.log(lengths_of(meet(views))[0])), 75.0))
+    if off_m > _BAD_M or bones_vary > _BAD_BONES:
+        order = ", or the calibration is of other cameras or in another order" if calibration else ""
+        raise InputError(
+            f"cameras {', '.join(names)} do not agree: joints are {100 * off_m:.0f} cm (median) from where each sees "
+            f"them, and lengths of bones change by {bones_vary:.0%}; they do not show the same take{order}"
+        )
     lens_factor = views[0].lens.focal_px / first_seen[0].track.lens.focal_px
     placed = place_people(alone[0], fitted, _up(alone, views), lens_factor, database.poses, options)
-    is_scale_known = bool(calibration) or any(name in options.statures_m for name in names)
-    return SeenTogether(placed, tuple(views), off_m, is_scale_known)
+    return SeenTogether(
+        placed,
+        tuple(views),
+        names,
+        tuple(track.rate_hz for track in tracks),
+        tuple(track.first_time_s - track.first_frame / track.rate_hz for track in tracks),
+        off_m,
+        bones_vary,
+        is_scale_known=bool(calibration) or any(person_id in options.statures_m for person_id in person_ids),
+        left_out=tuple(
+            f"camera {name}: person {person.person_id} is nobody whom camera {names[0]} shows"
+            for name, people, take in zip(names[1:], alone[1:], same, strict=True)
+            for person in people.methods[-1].people
+            if person.person_id not in take.person_ids
+        ),
+    )
+
+
+def _match(names: Sequence[str], alone: Sequence[ReconstructedPeople], rate_hz: float) -> list[SameTake]:
+    """Return what each of the other cameras has in common with the first.
+
+    Raises:
+        InputError: They do not show the same people at the same time.
+    """
+    rising, same = [_rising(people, rate_hz) for people in alone], []
+    for name, other in zip(names[1:], rising[1:], strict=True):
+        try:
+            same.append(match_cameras(rising[0], other, rate_hz))
+        except InputError as error:
+            raise InputError(f"cameras {names[0]} and {name}: {error}") from None
+    return same
 
 
 def _in_order(people: ReconstructedPeople, take: SameTake, names: Sequence[int]) -> Sequence[ReconstructedTrack | None]:

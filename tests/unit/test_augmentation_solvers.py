@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.optimize import least_squares
 
-from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, exact_bones, uniform_variations
 from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.exact_bones import project_to_bones
@@ -375,3 +375,15 @@ def test_the_nearest_motion_with_exact_bones_moves_joints_along_bones_alone() ->
             normals[row, parent] = -normals[row, child]
         left = moved - normals.reshape(21, 66).T @ np.linalg.lstsq(normals.reshape(21, 66).T, moved, rcond=None)[0]
         assert np.linalg.norm(left) < 0.1 * np.linalg.norm(moved)
+
+
+def test_the_steps_to_exact_bones_end_within_a_twentieth_of_a_millimetre_of_many_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    generator = np.random.default_rng(1)
+    points = (swaying_pair(5) + generator.normal(0.0, 0.01, (5, 2, 22, 3))).reshape(1, 5, 44, 3)
+    lengths = 1.03 * bone_lengths(BODY22, swaying_pair(5))[:1].reshape(1, 44)
+    nearest = project_to_bones(points, lengths, is_nearest=True)
+    monkeypatch.setattr(exact_bones, "_STEPS_TO_NEAREST", 20)
+    converged = project_to_bones(points, lengths, is_nearest=True)
+    assert np.linalg.norm(nearest - converged, axis=-1).mean() < 5e-5

@@ -160,3 +160,12 @@ def test_a_pulled_joint_goes_where_it_can_bones_keep_their_lengths_and_others_st
         np.testing.assert_allclose(bone_lengths(CHAIN, pulled), before, atol=1e-9)
         np.testing.assert_array_equal(pulled[0], people[0])
         assert np.linalg.norm(pulled[1, joint] - target) <= misses_at_most
+
+
+def test_a_fit_takes_no_more_steps_than_it_may_and_counts_each() -> None:
+    generator = np.random.default_rng(1)
+    forest, start = _chain(generator, 4)
+    terms = _terms(generator, 4)
+    for count in (1, 3):
+        stopped = fit_bones(forest, forest.state_of(start), terms, FitSettings(max_iterations=count, tolerance=0.0))
+        assert stopped.num_iterations == count

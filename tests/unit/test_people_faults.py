@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.people.faults import RepairedCrowd, repair_faults
+from pasdedeux.people.faults import RepairedCrowd, repair_faults, track_size_px
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
 from tests.builders.filmed_people import KINDS, Faulty, JointCounts, count_joints, film, inject, people_of
@@ -114,3 +114,12 @@ def test_scraps_are_left_as_they_are() -> None:
     assert not short.is_masked.any()
     blind = repair_faults(np.full((2, 9, 14, 2), np.nan), np.zeros((2, 9, 14)), rate_hz=30.0)
     assert not blind.is_touched.any()
+
+
+def test_the_size_of_a_person_is_the_median_over_the_frames_that_show_the_body_and_1_where_none_does() -> None:
+    points, _ = filmed("waltz", 0.0)
+    size = track_size_px(points[:, 0])
+    assert size[0] > 50.0
+    np.testing.assert_array_equal(size, np.full(len(points), size[0]))
+    np.testing.assert_allclose(track_size_px(3.0 * points[:, 0]), 3.0 * size)
+    np.testing.assert_array_equal(track_size_px(np.full((4, 14, 2), np.nan)), np.ones(4))

@@ -134,6 +134,7 @@ def test_bones_that_are_not_seen_take_the_depth_of_the_candidates() -> None:
     )
     expected = bone_vectors(pose)[0, OP14.index("left_elbow")]
     np.testing.assert_allclose(vectors[:, OP14.index("left_elbow")], np.tile(expected, (6, 1)), atol=1e-9)
+    np.testing.assert_allclose(depths[:, OP14.index("left_elbow")], expected[2], atol=1e-9)
     assert np.isfinite(depths).all()
 
 

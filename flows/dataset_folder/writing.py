@@ -155,7 +155,11 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
             made = Group("contacts", group.split, group.ref, rows, num_bytes, group.clip)
             places["contacts", group.split][key_of(made)] = made
     files = []
-    for (table, split), groups in sorted(places.items()):
+    for (table, split), in_table in sorted(places.items()):
+        groups = in_table
+        if table == "contacts":  # a take, then its variants, which have the same contacts
+            order = sorted(groups.values(), key=lambda group: (group.clip.partition("/")[0], "/" in group.clip))
+            groups = {key_of(group): group for group in order}
         start = f"data/{table}/{split}-"
         kept = [
             (name, file.parts)
@@ -283,29 +287,28 @@ def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Ite
     """Yield the contacts of a take as rows, or of variants those of the take as each of them holds them."""
     manifest = store.manifest(ref)
     if "variants" not in manifest.tables:
-        yield _found_in(store, ref, TakeFacts.of(manifest).contacts, "poses")[2]
+        yield _found_in(store, ref, TakeFacts.of(manifest).contacts)[2]
         return
-    source, contact_rows, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts, "variants")
+    source, contact_rows, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts)
     count, table = len(contact_rows.frame), TABLES["variants"]
     batches = (one.rows for one in store.iter_batches(ref, "variants", columns=["body22_m"]))
     for group, part in zip(groups, cut(batches, groups), strict=True):
         positions_m = TableData(table, part)["body22_m"].reshape(source.positions_m.shape)
         held = contact_rows.held_in(replace(source, positions_m=positions_m))
-        columns = {"variant_id": [group.clip.partition("/")[2]] * count, "distance_m": held.distance_m}
+        columns: dict[str, Any] = {"origin": ["variants"] * count, "variant_id": [group.clip.partition("/")[2]] * count}
+        columns |= {"distance_m": held.distance_m}
         columns |= {"point_m": held.points_m[:, 0], "partner_point_m": held.points_m[:, 1], "gap_m": held.gap_m}
         yield with_columns(TABLES["contacts"], known, columns)
 
 
 @lru_cache(maxsize=4)
-def _found_in(
-    store: Store, take: ArtifactRef, stated: tuple[UserContact, ...], origin: str
-) -> tuple[Source, ContactRows, Any]:
-    """Return a take, its contacts, and these as rows; batches of variants of one take follow each other."""
+def _found_in(store: Store, take: ArtifactRef, stated: tuple[UserContact, ...]) -> tuple[Source, ContactRows, Any]:
+    """Return a take, its contacts, and these as rows; batches of variants of one take follow it."""
     facts, source = TakeFacts.of(store.manifest(take)), read_take(store, take).source
     contact_rows = ContactRows.of(source, stated)
     count = len(contact_rows.frame)
     rows = {
-        "origin": [origin] * count,
+        "origin": ["poses"] * count,
         "take_id": [facts.take_id] * count,
         "time_s": contact_rows.frame / facts.rate_hz,
     }

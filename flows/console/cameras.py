@@ -11,7 +11,7 @@ from flows.console.context import echo
 from flows.console.inputs import find_source
 from flows.exports.reconstructions import Footage
 from pasdedeux.errors import InputError
-from pasdedeux.formats.calibration import CalibratedCamera, read_calibration
+from pasdedeux.formats.calibration import CalibratedCamera, choose_cameras, read_calibration
 from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.reconstruction.moving_camera import subtract_motion
@@ -66,10 +66,12 @@ class OtherCamera:
     Args:
         tracks: Tracks of its people.
         footage: What is at hand of it.
+        size_px: Width and height of its images, if known.
     """
 
     tracks: list[Track]
     footage: Footage
+    size_px: tuple[float, float] | None
 
 
 def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> OtherCamera:
@@ -89,7 +91,13 @@ def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | Non
     tracks, motion = steady_tracks(resolved, sequence)
     if not tracks:
         raise InputError(f"--camera {path}: no frame shows enough joints of a person")
-    return OtherCamera(tracks, Footage(motion, source if isinstance(source, FoundFilm) else None))
+    footage = Footage(motion, source if isinstance(source, FoundFilm) else None)
+    return OtherCamera(tracks, footage, image_size_px(resolved, sequence))
+
+
+def image_size_px(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[float, float] | None:
+    """Return width and height of the images of a sequence, if they are known."""
+    return resolved.frames.image_size_px.get(sequence.sequence_id)
 
 
 def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[list[Track], CameraMotion | None]:
@@ -109,15 +117,24 @@ def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[l
     return tracks, motion if is_steadied else None
 
 
-def find_calibration(path: Path | None) -> list[CalibratedCamera]:
-    """Return the cameras of a calibration, in the order of the file; none if it is not given.
+def find_calibration(path: Path | None, names: Sequence[str]) -> list[CalibratedCamera]:
+    """Return the calibrations of cameras, and say which is which; none if it is not given.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: It cannot be read, or does not fit the cameras.
     """
     if path is None:
         return []
     try:
-        return read_calibration(read_file(path, max_bytes=MAX_TEXT_BYTES))
+        cameras = read_calibration(read_file(path, max_bytes=MAX_TEXT_BYTES))
+        chosen, is_by_name = choose_cameras(cameras, names)
     except InputError as error:
         raise InputError(f"--calibration {path}: {error}") from None
+    which = ", ".join(f"{name} is {camera.name}" for name, camera in zip(names, chosen, strict=True))
+    rest = ", ".join(camera.name for camera in cameras if all(camera is not other for other in chosen))
+    echo(
+        f"calibration {'by name' if is_by_name else 'in the order of the file, as no names fit'}: {which}"
+        f"{f'; left out: {rest}' if rest else ''}",
+        err=True,
+    )
+    return chosen

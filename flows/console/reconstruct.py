@@ -16,6 +16,7 @@ from flows.console.cameras import (
     camera_names,
     find_calibration,
     find_video,
+    image_size_px,
     read_camera,
     sources_of,
     steady_tracks,
@@ -53,7 +54,7 @@ def reconstruct(
         list[Path] | None, Option(metavar="FILE", help="The same take from another camera; repeatable.")
     ] = None,
     calibration: Annotated[
-        Path | None, Option(metavar="TOML", help="Where the cameras are, in their order: calib.toml of Pose2Sim.")
+        Path | None, Option(metavar="TOML", help="Where the cameras are: calib.toml of Pose2Sim, Anipose or freemocap.")
     ] = None,
     database: Annotated[
         str | None, Option(metavar="REF", help="Projections; default: the only ones in the store.")
@@ -117,6 +118,7 @@ def reconstruct(
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
+    names = camera_names([path, *(camera or ())])
     others = [read_camera(other, settings or (), detect) for other in camera or ()]
     _reconstruct_video(
         video,
@@ -124,8 +126,8 @@ def reconstruct(
         store,
         out or Path(),
         others=others,
-        names=camera_names([path, *(camera or ())]),
-        calibration=find_calibration(calibration),
+        names=names,
+        calibration=find_calibration(calibration, names),
         units=units,
         pitch_deg=pitch,
         camera_height_m=height,
@@ -180,19 +182,21 @@ def _reconstruct_video(
         options = SequenceOptions(has_clean_up=has_clean_up, statures_m=stated_m)
         footage, cameras = [Footage(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
         if others:
+            sizes = [image_size_px(resolved, sequence), *(other.size_px for other in others)]
+            calibrated = [given.for_images(size) for given, size in zip(calibration, sizes, strict=False)]
             together = reconstruct_views(
                 [tracks, *(other.tracks for other in others)],
                 searched,
                 camera,
                 options,
                 names=names,
-                calibration=calibration,
+                calibration=calibrated,
                 on_camera=Steps(listener, 1 + len(others)),
             )
             reconstruction, cameras = Reconstruction(together.people, together.judged), together.cameras
             footage += [other.footage for other in others]
-            if calibration:
-                footage = [replace(shot, calibrated=given) for shot, given in zip(footage, calibration, strict=True)]
+            if calibrated:
+                footage = [replace(shot, calibrated=given) for shot, given in zip(footage, calibrated, strict=True)]
             say([seen.in_words(upright_m(together.people)) for seen in cameras])
             for line in together.left_out:
                 echo(line, err=True)

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 
 _SHAPES = {"matrix": (3, 3), "rotation": (3,), "translation": (3,)}
 _NUMS_DISTORTIONS = (0, 4, 5, 8, 12, 14)
 """Numbers of coefficients that OpenCV knows."""
+_NO_NAMES = {"int", "ext", "img", "json", "keypoints", "pose", "video", "synchronized", "annotations"}
+"""Words that these programs add to the names of cameras and files."""
+_SHAPE_TOLERANCE = 0.01
+"""Images whose width over height differs by a larger part are of another shape."""
+_ONE_PLACE_M = 0.01
+"""Cameras that are nearer to each other are at one place: Pose2Sim writes zeros until extrinsics are known."""
 _MILLIMETRES_FROM = 100.0
 """Cameras of which one is farther from the origin are given in millimetres, as Anipose and freemocap do."""
 
@@ -23,17 +32,45 @@ class CalibratedCamera:
 
     Args:
         name: As the file has it.
+        table: Name of its table.
         matrix: Lens (3, 3), pixels.
         distortions: Coefficients of OpenCV's distortion (n,).
         rotvec: Rotation from the world to the camera (3,).
         translation_m: What is added after it (3,), metres.
+        size_px: Width and height of the images that it is of; None if not stated.
     """
 
     name: str
+    table: str
     matrix: Array
     distortions: Array
     rotvec: Array
     translation_m: Array
+    size_px: tuple[float, float] | None = None
+
+    @property
+    def position_m(self) -> Array:
+        """Place in the world (3,)."""
+        return -rotmat_from_unitquat(unitquat_from_rotvec(self.rotvec)).T @ self.translation_m
+
+    def for_images(self, size_px: tuple[float, float] | None) -> CalibratedCamera:
+        """Return it for images of another size; as it is where one of the sizes is not known.
+
+        Raises:
+            InputError: The images have another shape.
+        """
+        if self.size_px is None or size_px is None or tuple(size_px) == self.size_px:
+            return self
+        across, down = (ours / theirs for ours, theirs in zip(size_px, self.size_px, strict=True))
+        if abs(across / down - 1.0) > _SHAPE_TOLERANCE:
+            (width, height), (wide, tall) = self.size_px, size_px
+            raise InputError(
+                f"camera {self.name} of the calibration is of images of {width:.0f} x {height:.0f}, and those that are "
+                f"given are {wide:.0f} x {tall:.0f}"
+            )
+        # Pixel centres are whole numbers for OpenCV: the corner of the image is at -0.5.
+        scale = np.array([[across, 0.0, 0.5 * (across - 1.0)], [0.0, down, 0.5 * (down - 1.0)], [0.0, 0.0, 1.0]])
+        return replace(self, matrix=scale @ self.matrix, size_px=(float(size_px[0]), float(size_px[1])))
 
     def undistorted_px(self, px: Array) -> Array:
         """Return pixels (*batch, 2) as a lens without distortion would have them; NaN stays NaN."""
@@ -61,7 +98,7 @@ def read_calibration(data: bytes) -> list[CalibratedCamera]:
     """Return the cameras of a `calib.toml`, in the order of the file.
 
     Each camera is a table with `matrix`, `rotation` (a rotation vector), `translation` and, where there is any,
-    `distortions`.  Tables without `matrix`, such as `metadata`, are left out.
+    `name`, `size` and `distortions`.  Tables without `matrix`, such as `metadata`, and other keys are left out.
 
     Raises:
         InputError: The file is no TOML, has no camera, or one lacks a number or has a lens that is not supported.
@@ -79,15 +116,84 @@ def read_calibration(data: bytes) -> list[CalibratedCamera]:
         matrix, rotvec, translation = (_numbers(name, table, key, shape) for key, shape in _SHAPES.items())
         if min(matrix[0, 0], matrix[1, 1]) <= 0:
             raise InputError(f"camera {name} of the calibration: the focal lengths of matrix must be positive")
-        cameras.append(
-            CalibratedCamera(str(table.get("name", name)), matrix, _distortions(name, table), rotvec, translation)
-        )
+        size = _numbers(name, table, "size", (2,)).tolist() if "size" in table else None
+        called, distortions = str(table.get("name", name)), _distortions(name, table)
+        cameras.append(CalibratedCamera(called, name, matrix, distortions, rotvec, translation, size and tuple(size)))
     if not cameras:
         raise InputError("the calibration has no camera: a table with matrix, rotation and translation")
     far = max(float(np.linalg.norm(camera.translation_m)) for camera in cameras)
     if far <= _MILLIMETRES_FROM:
         return cameras
     return [replace(camera, translation_m=camera.translation_m / 1e3) for camera in cameras]
+
+
+def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) -> tuple[list[CalibratedCamera], bool]:
+    """Return the cameras that files of these names are of, and whether names say so; else they are in one order.
+
+    A camera and a file fit if the words of one name, `name` or else the table's, are among those of the other:
+    `int_cam01_img` and `cam1.mp4`.  Of cameras that fit, those count that have most words in common.
+
+    Raises:
+        InputError: Names fit in part only, numbers differ and no names fit, or cameras are at one place.
+    """
+    fits: list[list[CalibratedCamera]] = [[] for _ in names]
+    for key in ("name", "table"):
+        words = [_words(getattr(camera, key)) for camera in cameras]
+        if not any(fits):
+            fits = [_fitting(_words(name), cameras, words) for name in names]
+    called = ", ".join(camera.name for camera in cameras)
+    chosen, is_by_name = list(cameras), any(fits)
+    if is_by_name:
+        chosen = [camera for fit in fits if len(fit) == 1 for camera in fit]
+        if len(chosen) < len(names) or len({camera.table for camera in chosen}) < len(names):
+            which = "; ".join(
+                f"{name}: {' or '.join(camera.name for camera in fit) or 'none'}"
+                for name, fit in zip(names, fits, strict=True)
+            )
+            raise InputError(
+                f"the cameras {called} of the calibration fit only some files by their names ({which}); name the files "
+                "as the cameras are"
+            )
+    elif len(cameras) != len(names):
+        raise InputError(
+            f"the calibration has {len(cameras)} cameras ({called}), {len(names)} are given ({', '.join(names)}), and "
+            "no names fit; name the files as the cameras are"
+        )
+    for number, camera in enumerate(chosen):
+        for other in chosen[:number]:
+            if np.linalg.norm(camera.position_m - other.position_m) < _ONE_PLACE_M:
+                raise InputError(
+                    f"cameras {other.name} and {camera.name} of the calibration are at one place: it has lenses, but "
+                    "not where the cameras are"
+                )
+    return chosen, is_by_name
+
+
+def _fitting(
+    words: Sequence[str], cameras: Sequence[CalibratedCamera], names: Sequence[Sequence[str]]
+) -> list[CalibratedCamera]:
+    """Return the cameras of these names that fit a file with these words best."""
+    common = [min(len(words), len(name)) if _is_within(words, name) or _is_within(name, words) else 0 for name in names]
+    most = max(common, default=0)
+    return [camera for camera, count in zip(cameras, common, strict=True) if count == most > 0]
+
+
+def _words(name: str) -> tuple[str, ...]:
+    """Return words and numbers of a name, in lower case, but those that say nothing.
+
+    >>> _words("int_cam01_img"), _words("vid-camA"), _words("Camera_000_synchronized")
+    (('cam', '1'), ('vid', 'cam', 'a'), ('camera', '0'))
+    """
+    parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+|[0-9]+", name)
+    return tuple(
+        part.lstrip("0") or "0" if part.isdigit() else part.lower() for part in parts if part.lower() not in _NO_NAMES
+    )
+
+
+def _is_within(words: Sequence[str], others: Sequence[str]) -> bool:
+    """Tell whether words follow each other among others; no words do not."""
+    starts = range(len(others) - len(words) + 1)
+    return bool(words) and any(tuple(others[at : at + len(words)]) == tuple(words) for at in starts)
 
 
 def _distortions(name: str, table: dict[str, object]) -> Array:

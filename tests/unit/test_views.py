@@ -17,7 +17,7 @@ from flows.exports.reconstructions import Footage, write_reconstruction
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
-from pasdedeux.formats.calibration import CalibratedCamera, read_calibration
+from pasdedeux.formats.calibration import choose_cameras, read_calibration
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotvec_from_unitquat, unitquat_from_rotmat
@@ -28,7 +28,7 @@ from pasdedeux.reconstruction.views.calibration import View, calibrate, meet
 from pasdedeux.reconstruction.views.clocks import Rising, match_cameras
 from pasdedeux.reconstruction.views.fit import RayTerm
 from pasdedeux.reconstruction.views.seen import camera_facts, upright_m
-from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
+from pasdedeux.reconstruction.views.together import SeenTogether, _check_sizes, reconstruct_views
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level
@@ -37,7 +37,7 @@ from tasks.ingest.film.run import find_videos
 from tests.builders.cameras_of_a_take import Seen, database_of_duets, duet_m, errors_m, see
 from tests.builders.pages import Page
 from tests.builders.rendered_film import write_film
-from tests.builders.walkers_on_video import build_store, reference, write_walkers
+from tests.builders.walkers_on_video import build_store, camera_of, reference, write_walkers
 
 
 @pytest.fixture(scope="module")
@@ -60,17 +60,27 @@ def together(seen: list[Seen], database: SearchedDatabase) -> SeenTogether:
     return reconstruct_views([one.tracks for one in seen], database)
 
 
-def calibrated(camera: PinholeCamera) -> CalibratedCamera:
-    """Return a camera by OpenCV's conventions."""
+def calibrated(
+    camera: PinholeCamera,
+    name: str = "cam",
+    *,
+    scale: float = 1.0,
+    distortions: tuple[float, ...] = (),
+    unit: float = 1.0,
+) -> str:
+    """Return the table of a camera in a file of a calibration, for images larger by a scale."""
     rotmat = np.diag([1.0, -1.0, -1.0]) @ camera.camera_from_world_rotmat
-    (cx, cy), focal = camera.principal_point_px, camera.focal_px
-    return CalibratedCamera(
-        "cam",
-        np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]]),
-        np.zeros(5),
-        rotvec_from_unitquat(unitquat_from_rotmat(rotmat)),
-        -rotmat @ camera.position_m,
-    )
+    (cx, cy), focal = camera.principal_point_px, scale * camera.focal_px
+    cx, cy = (scale * (at + 0.5) - 0.5 for at in (cx, cy))
+    rotvec = rotvec_from_unitquat(unitquat_from_rotmat(rotmat))
+    return f"""[{name}]
+name = "{name}"
+size = [ {scale * camera.image_size_px[0]}, {scale * camera.image_size_px[1]},]
+matrix = [ [ {focal}, 0.0, {cx},], [ 0.0, {focal}, {cy},], [ 0.0, 0.0, 1.0,],]
+distortions = {list(distortions or (0.0,) * 5)}
+rotation = {rotvec.tolist()}
+translation = {(-unit * rotmat @ camera.position_m).tolist()}
+"""
 
 
 def test_two_unknown_cameras_tell_poses_and_places(
@@ -142,13 +152,31 @@ def test_cameras_that_see_other_joints_are_refused(truth_m: np.ndarray) -> None:
 
 
 def test_calibrated_cameras_give_true_sizes(seen: list[Seen], database: SearchedDatabase, truth_m: np.ndarray) -> None:
-    cameras = [calibrated(one.camera) for one in seen]
-    found = reconstruct_views([one.tracks for one in seen], database, calibration=cameras)
+    """The file has three cameras in another order, millimetres, images of twice the size and lenses that distort."""
+    text = "".join(
+        calibrated(one.camera, name, scale=2.0, distortions=(-0.08, 0.01, 0.0, 0.0, 0.0), unit=1000.0)
+        for name, one in (("int_cam2_img", seen[1]), ("int_cam1_img", seen[0]))
+    )
+    spare = calibrated(replace(seen[0].camera, position_m=np.array([9.0, 2.0, 9.0])), "int_cam03_img", unit=1000.0)
+    chosen, is_by_name = choose_cameras(read_calibration((text + spare).encode()), ["cam01_json", "cam02_json"])
+    assert is_by_name
+    cameras = [camera.for_images((960, 540)) for camera in chosen]
+    tracks = [
+        [replace(track, keypoints_px=camera.distorted_px(track.keypoints_px)) for track in one.tracks]
+        for one, camera in zip(seen, cameras, strict=True)
+    ]
+    found = reconstruct_views(tracks, database, calibration=cameras)
     pose_m, place_m = errors_m(found.people.methods[-1].people, truth_m, seen[0])
     assert pose_m < 0.02
     assert place_m < 0.02
+    with pytest.raises(InputError, match="or the calibration is of other cameras or in another order"):
+        reconstruct_views(tracks, database, calibration=cameras[::-1])
     with pytest.raises(InputError, match="the calibration has 1 cameras, and 2 are given"):
-        reconstruct_views([one.tracks for one in seen], database, calibration=cameras[:1])
+        reconstruct_views(tracks, database, calibration=cameras[:1])
+    with pytest.raises(
+        InputError, match=r"somebody would be 0\.0\d+ m tall by the calibration; its translations must be"
+    ):
+        _check_sizes([replace(view, position_m=view.position_m / 39.0) for view in found.views])
 
 
 def test_exact_rays_give_back_cameras_and_joints(truth_m: np.ndarray) -> None:
@@ -215,6 +243,140 @@ adjusted = false
 """
 
 
+_POSE2SIM = """
+[int_cam01_img]
+name = "int_cam01_img"
+size = [ 1088.0, 1920.0]
+matrix = [ [ 1671.5, 0.0, 564.6], [ 0.0, 1671.4, 933.0], [ 0.0, 0.0, 1.0]]
+distortions = [ -0.053, 0.151, -0.00012, 0.00065]
+rotation = [ 1.679, 1.032, -0.391]
+translation = [ 0.261, 0.964, 2.933]
+fisheye = false
+
+[int_cam02_img]
+name = "int_cam02_img"
+size = [ 1088.0, 1920.0]
+matrix = [ [ 1675.7, 0.0, 555.8], [ 0.0, 1675.4, 937.7], [ 0.0, 0.0, 1.0]]
+distortions = [ -0.052, 0.149, 1.7e-05, -0.00065]
+rotation = [ 1.358, 1.58, -1.182]
+translation = [ -0.165, 0.808, 3.204]
+fisheye = false
+
+[metadata]
+adjusted = false
+error = 0.0
+"""
+_ANIPOSE = """
+[cam_0]
+name = "A"
+size = [ 1440, 1080,]
+matrix = [ [ 1852.4, 0.0, 719.5,], [ 0.0, 1852.4, 539.5,], [ 0.0, 0.0, 1.0,],]
+distortions = [ -0.036, 0.0, 0.0, 0.0, 0.0,]
+rotation = [ -0.0017, -0.0018, -0.0046,]
+translation = [ 2.55, -2.77, -18.2,]
+
+[cam_1]
+name = "B"
+size = [ 1440, 1080,]
+matrix = [ [ 1935.9, 0.0, 719.5,], [ 0.0, 1935.9, 539.5,], [ 0.0, 0.0, 1.0,],]
+distortions = [ -0.313, 0.0, 0.0, 0.0, 0.0,]
+rotation = [ -0.226, -2.982, 0.387,]
+translation = [ 117.4, 262.5, 1478.8,]
+
+[metadata]
+adjusted = true
+error = 1.668
+"""
+_FREEMOCAP = """
+[cam_0]
+name = "Camera_000_synchronized"
+size = [1280, 720]
+matrix = [[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]]
+distortions = [-0.1, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.0, 0.0, 0.0]
+translation = [0.0, 0.0, 0.0]
+world_orientation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+world_position = [0.0, 0.0, 0.0]
+
+[cam_1]
+name = "Camera_001_synchronized"
+size = [1280, 720]
+matrix = [[910.0, 0.0, 640.0], [0.0, 910.0, 360.0], [0.0, 0.0, 1.0]]
+distortions = [-0.1, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.1, 1.2, 0.0]
+translation = [-2100.0, 40.0, 1500.0]
+world_orientation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+world_position = [0.0, 0.0, 0.0]
+
+[metadata]
+adjusted = false
+charuco_square_size = 51.0
+date_time_calibrated = "2026-02-06T15:02:56"
+path_to_this_calibration = "C:\\\\Users\\\\me\\\\calibration.toml"
+
+[metadata.charuco_board_object]
+number_of_squares_width = 7
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "files", "focal_px", "far_m"),
+    [
+        (_POSE2SIM, ("cam02_json", "cam01_json"), (1675.7, 1671.5), (3.308, 3.098)),
+        (_POSE2SIM, ("int_cam1_img", "int_cam2_img"), (1671.5, 1675.7), (3.098, 3.308)),
+        (_POSE2SIM, ("front", "side"), (1671.5, 1675.7), (3.098, 3.308)),
+        (_ANIPOSE, ("take4-camB", "take4-camA"), (1935.9, 1852.4), (1.506, 0.019)),
+        (_ANIPOSE, ("cam_1.take", "cam_0.take"), (1935.9, 1852.4), (1.506, 0.019)),
+        (_FREEMOCAP, ("Camera_001_synchronized", "Camera_000_synchronized"), (910.0, 900.0), (2.581, 0.0)),
+        (_FREEMOCAP, ("camera-1", "camera-0"), (910.0, 900.0), (2.581, 0.0)),
+    ],
+)
+def test_calibrations_of_other_programs_are_read(
+    text: str, files: tuple[str, ...], focal_px: tuple[float, ...], far_m: tuple[float, ...]
+) -> None:
+    chosen, is_by_name = choose_cameras(read_calibration(text.encode()), files)
+    assert is_by_name == ("front" not in files)
+    assert [camera.matrix[0, 0] for camera in chosen] == list(focal_px)
+    np.testing.assert_allclose([np.linalg.norm(camera.position_m) for camera in chosen], far_m, atol=0.001)
+
+
+@pytest.mark.parametrize(
+    ("text", "files", "says"),
+    [
+        (
+            _POSE2SIM,
+            ("a", "b", "c"),
+            r"the calibration has 2 cameras \(int_cam01_img, int_cam02_img\), 3 are given \(a, b",
+        ),
+        (_POSE2SIM, ("a",), "the calibration has 2 cameras"),
+        (_POSE2SIM, ("cam1", "side"), r"fit only some files by their names \(cam1: int_cam01_img; side: none\)"),
+        (_POSE2SIM, ("cam1", "cam3"), "fit only some files by their names"),
+        (_POSE2SIM, ("cam1_a", "cam1_b"), "fit only some files by their names"),
+        (_ANIPOSE, ("cam", "b"), r"\(cam: none; b: B\)"),
+        (
+            _FREEMOCAP.replace("[-2100.0, 40.0, 1500.0]", "[0.0, 0.0, 0.0]"),
+            ("a", "b"),
+            "cameras Camera_000_synchronized and Camera_001_synchronized of the calibration are at one place",
+        ),
+    ],
+)
+def test_calibrations_that_do_not_fit_the_files_are_named(text: str, files: tuple[str, ...], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        choose_cameras(read_calibration(text.encode()), files)
+
+
+def test_calibrations_are_of_images_of_any_size_but_one_shape() -> None:
+    camera = read_calibration(_FREEMOCAP.encode())[1]
+    half = camera.for_images((640.0, 360.0))
+    px = camera.distorted_px(np.array([[100.0, 50.0], [640.0, 360.0], [np.nan, np.nan]]))
+    np.testing.assert_allclose(
+        half.undistorted_px((px + 0.5) / 2.0 - 0.5), [[49.75, 24.75], [319.75, 179.75], px[2]], atol=0.05
+    )
+    assert camera.for_images(None) is camera
+    with pytest.raises(InputError, match="is of images of 1280 x 720, and those that are given are 720 x 1280"):
+        camera.for_images((720.0, 1280.0))
+
+
 def test_calibrations_are_read_in_metres_and_millimetres() -> None:
     (camera,) = read_calibration(_CALIBRATION.replace("SCALE", "4.5").encode())
     np.testing.assert_allclose(camera.translation_m, [0.0, 1.0, 4.5])
@@ -239,6 +401,7 @@ def _bad(line: str = "", distortions: str = "[ 0.1, 0.0, 0.0, 0.0,]") -> str:
         ("[metadata]\nadjusted = false", "the calibration has no camera"),
         (_CALIBRATION.replace("SCALE", "'far'"), "camera one of the calibration: translation must hold numbers"),
         (_CALIBRATION.replace("SCALE", "1.0, 2.0"), r"translation must hold numbers of shape \(3,\)"),
+        (_bad().replace("size = [ 960.0, 540.0,]", "size = 960"), r"size must hold numbers of shape \(2,\)"),
         (_bad("fisheye = true"), "has a fisheye lens"),
         (_bad(distortions="[0.1, 0.0, 0.0]"), "distortions must be a list of 0, 4, 5, 8, 12, 14 numbers"),
         (_bad(distortions="0.1"), "distortions must be a list"),
@@ -318,6 +481,10 @@ def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_sh
     assert re.search(r"camera front: person \d is nobody whom camera side shows", capsys.readouterr().err)
 
 
+_PLACES = {"side": 1.6, "front": 0.3, "back": 3.0}
+"""Yaws of cameras, radians, in an order that is not that of the command."""
+
+
 def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store, out = build_store(tmp_path / "store"), tmp_path / "out"
     folders = [tmp_path / name for name in ("front", "side")]
@@ -344,6 +511,11 @@ def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.C
     assert (page.problems, page.outside) == ([], [])
     assert [panel["is_flat"] for panel in page.scenes[0]["panels"]] == [True, True, False]
     assert "Camera side: " in page.text
+    (tmp_path / "calib.toml").write_text("".join(calibrated(camera_of(at), name) for name, at in _PLACES.items()))
+    assert run_command_line([*command, "--camera", side, "--calibration", str(tmp_path / "calib.toml")]) == 0
+    said = capsys.readouterr()
+    assert "calibration by name: front is front, side is side; left out: back" in said.err
+    assert len(re.findall(r"lens 1400 px .*joints are [01]\.\d px", said.out)) == 2
     assert run_command_line([*command, "--camera", str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err
     assert run_command_line([*command, "--camera", side, "--calibration", "/dev/zero"]) == 2

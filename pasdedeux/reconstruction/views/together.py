@@ -15,6 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.matching import MIN_JOINTS
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, place_people
 from pasdedeux.reconstruction.pitch import PitchEstimate
@@ -35,14 +36,17 @@ _NUM_PASSES = 4
 """Calibrations, each with keypoints taken at the clocks of the one before."""
 _SPEED_S = 0.1
 """Speeds of keypoints are over so long before and after: the noise of neighbours is larger than how far they move."""
-_BAD_M, _DOUBTFUL_M = 0.15, 0.04
-"""Joints that are farther from their rays are refused, or a warning: keypoints of 2 px of noise are 1 cm off."""
+_BAD_M, _BAD_CALIBRATED_M, _DOUBTFUL_M = 0.15, 0.06, 0.04
+"""Joints that are farther from their rays are refused, or a warning: keypoints of 2 px of noise are 1 cm off, and 8 cm
+if calibrated cameras are exchanged."""
 _BAD_BONES, _DOUBTFUL_BONES = 0.18, 0.1
 """The same of how bones change their lengths where rays meet, upper quartile: 0.05 to 0.07 of duets and salsa with 2 px
 of noise, 0.12 to 0.14 with 5 px; 0.10 to 0.16 from cameras 7, 15 and 160 degrees apart, whose poses are 7 to 12 cm
 wrong; 0.08 to 0.21 if one camera shows another duet."""
 _MEAN_OVER_DEVIATION = float(np.sqrt(2.0 / np.pi))
 """Mean size of an error over its standard deviation."""
+_STATURES_M = 0.6, 2.6
+"""Shortest and tallest people."""
 _GIVEN_PITCH_RAD = 0.01
 """Standard deviation of a pitch that is given."""
 
@@ -196,9 +200,11 @@ def reconstruct_views(
             replace(view, **_moments(shown, times_s + view.offset_s)._asdict())
             for view, shown in zip(views, seen, strict=True)
         ]
+    if calibration:
+        _check_sizes(views)
     fitted, off_m = _fit_people(views, first_seen, times_s, tracks[0].rate_hz)
     bones_vary = float(np.nanpercentile(np.abs(np.log(lengths_of(meet(views))[0])), 75.0))
-    if off_m > _BAD_M or bones_vary > _BAD_BONES:
+    if off_m > (_BAD_CALIBRATED_M if calibration else _BAD_M) or bones_vary > _BAD_BONES:
         order = ", or the calibration is of other cameras or in another order" if calibration else ""
         raise InputError(
             f"cameras {', '.join(names)} do not agree: joints are {100 * off_m:.0f} cm (median) from where each sees "
@@ -222,6 +228,21 @@ def reconstruct_views(
             if person.person_id not in take.person_ids
         ),
     )
+
+
+def _check_sizes(views: Sequence[View]) -> None:
+    """Refuse a calibration that makes people too small or too tall.
+
+    Raises:
+        InputError: Says how tall.
+    """
+    statures_m = body_height_m(OP14, lengths_of(meet(views))[1])
+    odd_m = statures_m[(statures_m < _STATURES_M[0]) | (statures_m > _STATURES_M[1])]
+    if len(odd_m):
+        raise InputError(
+            f"somebody would be {odd_m[0]:.2g} m tall by the calibration; its translations must be in metres or "
+            "millimetres, and its cameras those of the files"
+        )
 
 
 def _match(names: Sequence[str], alone: Sequence[ReconstructedPeople], rate_hz: float) -> list[SameTake]:
@@ -293,7 +314,7 @@ def _calibrated(track: Track, camera: CalibratedCamera) -> Track:
 def _pose(camera: CalibratedCamera) -> tuple[Array, Array]:
     """Return rotation from the world to the camera (3, 3), our axes, and its place in the world (3,)."""
     turn = rotmat_from_unitquat(unitquat_from_rotvec(camera.rotvec))
-    return np.diag([1.0, -1.0, -1.0]) @ turn, -turn.T @ camera.translation_m
+    return np.diag([1.0, -1.0, -1.0]) @ turn, camera.position_m
 
 
 def _of(people: ReconstructedPeople, person_id: int) -> ReconstructedTrack:

@@ -134,6 +134,7 @@ class SequenceFacts(PeopleFacts):
     why_no_video: dict[str, str] = Field({})
     camera_height_m: float | None = None
     statures_m: dict[int, float] = Field({})
+    camera_of: str | None = None
     num_merged_rows: int = 0
     num_ghost_rows: int = 0
     num_repaired_joints: int = 0
@@ -232,7 +233,10 @@ class ProjectionFacts(Facts):
 
 
 class MotionFacts(Facts):
-    """The motions of a sequence; `camera_height_m` and `lens_factor` where the scene was estimated as a whole."""
+    """The motions of a sequence; `camera_height_m` and `lens_factor` where the scene was estimated as a whole.
+
+    `cameras` says of each camera, where several saw it, where it is and how well it agrees.
+    """
 
     kind: Literal["motions"] = "motions"
     sequence_ids: tuple[str, ...] = ()
@@ -245,6 +249,7 @@ class MotionFacts(Facts):
     pitch_deg: float = 0.0
     pitch_deviation_deg: float = 0.0
     num_projections: int = 0
+    cameras: tuple[str, ...] = ()
 
 
 class ModelFacts(Facts):

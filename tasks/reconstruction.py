@@ -21,6 +21,8 @@ from pasdedeux.reconstruction.people import MethodMotions, SequenceOptions
 from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
+from pasdedeux.reconstruction.views.seen import camera_facts, upright_m
+from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.camera_motions import read_camera_motion
@@ -73,21 +75,28 @@ class SequenceShard(SequenceSettings):
 def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shard]:
     """Plan a shard per video sequence, with every projections artifact that has not seen the sequence's take."""
     shards = []
-    databases = inputs.of("projections")
-    for manifest in inputs.of("annotations"):
-        if not _is_wanted(manifest, parameters.sequences):
-            continue
-        allowed = [database for database in databases if not shares_takes(manifest, database)]
+    databases, annotations = inputs.of("projections"), inputs.of("annotations")
+    others: dict[str, list[Manifest]] = {}
+    for manifest in annotations:
+        if first := SequenceFacts.of(manifest).camera_of:
+            others.setdefault(first, []).append(manifest)
+    if unknown := sorted(others.keys() - {manifest.partition for manifest in annotations}):
+        raise InputError(f"'{unknown[0]}', which camera_of names, is not one video")
+    for manifest in annotations:
         facts = SequenceFacts.of(manifest)
+        if facts.camera_of or not _is_wanted(manifest, parameters.sequences):
+            continue
+        cameras = [manifest, *others.get(manifest.partition, ())]
+        allowed = [database for database in databases if not any(shares_takes(camera, database) for camera in cameras)]
         for sequence_id in facts.sequence_ids:
             of_sequence = parameters.part(
                 SequenceShard,
                 sequence_id=sequence_id,
-                has_level_camera=facts.purpose == "given" and bool(facts.takes),
+                has_level_camera=facts.purpose == "given" and bool(facts.takes) and len(cameras) == 1,
                 camera_height_m=facts.camera_height_m,
                 statures_m=facts.statures_m,
             )
-            read = {"annotations": [manifest], "projections": allowed}
+            read = {"annotations": cameras, "projections": allowed}
             if Method.PUBLISHED in parameters.methods and allowed:
                 clusters, parts = clusters_of(inputs, allowed)
                 if not clusters:
@@ -120,7 +129,7 @@ def _is_wanted(manifest: Manifest, sequences: str) -> bool:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Reconstruct every person of a sequence with every method; people who cannot be are named in the facts."""
-    annotations, database_refs = shard.ref("annotations"), shard.refs("projections")
+    (annotations, *others), database_refs = shard.refs("annotations"), shard.refs("projections")
     parameters, manifests = shard.options(SequenceShard), [store.manifest(ref) for ref in database_refs]
     sequence_id, manifest = parameters.sequence_id, store.manifest(annotations)
     facts: dict[str, Any] = {
@@ -138,13 +147,27 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         reasons.append("there is no projection database without the sequence's own take")
     elif tracks and not any(part.tables["projections"].rows for part in manifests):
         reasons.append("the projection database has no pose")
-    facts["skipped"] = [f"{sequence_id}: {reason}" for reason in reasons]
+    together: SeenTogether | None = None
     if tracks and not reasons:
         database = _database(store, database_refs, shard.refs("clusters"), num_people=len(tracks))
-        reconstruction = reconstruct_sequence(
-            tracks, database, StatedCamera(height_m=parameters.camera_height_m), _options(parameters)
-        )
-        people, judged = reconstruction.people, reconstruction.judged.verdicts
+        camera, cameras = StatedCamera(height_m=parameters.camera_height_m), dict[str, np.ndarray]()
+        try:
+            if others:
+                together = _reconstruct_together(store, others, tracks, database, camera, parameters)
+        except InputError as error:
+            reasons.append(str(error))
+    facts["skipped"] = [f"{sequence_id}: {reason}" for reason in reasons]
+    if tracks and not reasons:
+        if together is not None:
+            people, judged = together.people, together.judged.verdicts
+            placed_m = upright_m(people)
+            cameras = camera_facts(together.cameras, placed_m)
+            facts["cameras"] = [seen.in_words(placed_m) for seen in together.cameras]
+            facts["methods"] = [parameters.methods[-1].value]
+            facts["skipped"] += together.left_out
+        else:
+            reconstruction = reconstruct_sequence(tracks, database, camera, _options(parameters))
+            people, judged = reconstruction.people, reconstruction.judged.verdicts
         made = [(motions.name, motions, people.camera_from_upright_rotmat) for motions in people.methods]
         if parameters.has_level_camera:
             made = [*_made_level(tracks, database, parameters), *made]
@@ -153,7 +176,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         attachments = {
             f"{sequence_id}_{person_id}.{kind}": data
             for person_id, motion in people.motions.items()
-            for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion, **people.camera_facts)))
+            for kind, data in (
+                ("bvh", motion.bvh().encode()),
+                ("npz", write_npz(motion, **people.camera_facts, **cameras)),
+            )
         }
         facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in people.skipped.items()]
         facts["num_projections"] = database.poses.num_projections
@@ -173,6 +199,33 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         or Verdict(Level.FAIL, facts["skipped"][0] if facts["skipped"] else "the sequence shows nobody"),
         parts=judged,
     )
+
+
+def _reconstruct_together(
+    store: Store,
+    others: Sequence[ArtifactRef],
+    tracks: Sequence[Track],
+    database: SearchedDatabase,
+    stated: StatedCamera,
+    parameters: SequenceShard,
+) -> SeenTogether:
+    """Return the people of a take that others saw beside the camera that has these tracks.
+
+    Raises:
+        InputError: A camera has no video, or as `reconstruct_views`.
+    """
+    seen, names = [tracks], [parameters.sequence_id]
+    for ref in others:
+        names.append(store.manifest(ref).partition)
+        sequence_ids = SequenceFacts.of(store.manifest(ref)).sequence_ids
+        if len(sequence_ids) != 1:
+            raise InputError(f"camera {names[-1]}: one video is needed, found {', '.join(sequence_ids) or 'none'}")
+        of_other, reasons = read_tracks(store, ref, sequence_ids[0])
+        if not of_other:
+            raise InputError(f"camera {names[-1]}: {next(iter(reasons), 'it shows nobody')}")
+        seen.append(of_other)
+    options = replace(_options(parameters), methods=parameters.methods[-1:])
+    return reconstruct_views(seen, database, stated, options, names=names)
 
 
 def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[Track], list[str]]:

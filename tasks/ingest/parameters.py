@@ -84,6 +84,16 @@ class IngestParameters(Parameters):
             double = sorted(name for name, count in Counter(names).items() if count > 1)
             if double:
                 raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")
+        sources = {source.id: source for source in (*self.annotations, *self.videos)}
+        for source in sources.values():
+            if source.camera_of and (source.camera_of not in sources or sources[source.camera_of].camera_of):
+                firsts = ", ".join(
+                    other.id for other in sources.values() if not other.camera_of and other is not source
+                )
+                raise ValueError(
+                    f"camera_of of '{source.id}' must name another source without camera_of, found "
+                    f"'{source.camera_of}'; there are: {firsts or 'none'}"
+                )
         named = [
             *self.held_out,
             *self.prior,

@@ -76,6 +76,11 @@ class AnnotationCommon(PeopleSettings, Parameters):
     take_id: str | None = Field(
         None, description="Take of this study that the video shows; then it is scored against that"
     )
+    camera_of: str | None = Field(
+        None,
+        description="Source of the same take before another camera: both are reconstructed together, in the frames of "
+        "that one",
+    )
     licence: str = Field("not stated", description="Licence of the source")
     credit: str = Field("not stated", description="Credit line of the source")
 

@@ -88,6 +88,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
             skipped_files=tuple(frames.skipped[:MAX_NAMED_FILES]),
             camera_height_m=parameters.camera_height_m,
             statures_m=dict(parameters.statures_m),
+            **({"camera_of": parameters.camera_of} if parameters.camera_of else {}),
             couples=tuple(
                 CoupleFact(
                     sequence_id=sequence.sequence_id,

@@ -1,0 +1,100 @@
+"""A take that two sources of a study show, each from another camera: one motion, stored as that of one film is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from pasdedeux.formats.npz import read_npz
+from pasdedeux.skeletons import OP14
+from storage_schema import Manifest, Store
+from tasks import projections, reconstruction
+from tasks.ingest.parameters import IngestParameters
+from tasks.reconstruction import ReconstructionParameters
+from tasks.stage import StageInputs
+from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, Seen, duet_m, see
+from tests.builders.ingest_runs import planned, run
+
+
+def write_camera(path: Path, seen: Seen) -> str:
+    """Write what a camera sees as our CSV."""
+    lines = [
+        f"{frame},{track.person_id},{name},{x},{y}"
+        for track in seen.tracks
+        for frame, points in enumerate(track.keypoints_px)
+        for name, (x, y) in zip(OP14.joint_names, points, strict=True)
+    ]
+    head = ("# layout: op14", f"# image_size: {SIZE_PX[0]}x{SIZE_PX[1]}", f"# rate_hz: {RATE_HZ}")
+    path.write_text("\n".join([*head, "frame,person,joint,x,y", *lines]))
+    return str(path)
+
+
+def ingested(tmp_path: Path, seen: list[Seen]) -> tuple[Store, list[Manifest], list[Manifest]]:
+    """Return the annotations of the cameras, and a database of other duets."""
+    store = Store(tmp_path / "store")
+    paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]
+    sources = [{"id": "front", "path": paths[0]}, {"id": "side", "path": paths[1], "camera_of": "front"}]
+    duets = [{"name": name, "duration_s": 4.0} for name in ("push_hands", "hug", "judo")]
+    made = list(run(store, planned(rate_hz=RATE_HZ, duets=duets, annotations=sources)).values())
+    poses, annotations = ([one for one in made if table in one.tables] for table in ("poses", "annotations"))
+    inputs = StageInputs({"poses": poses}, seed=0)
+    shards = projections.plan(inputs, projections.ProjectionsParameters())
+    return store, annotations, [store.manifest(projections.run_shard(shard, store)) for shard in shards]
+
+
+def test_two_sources_of_a_take_become_one_motion(tmp_path: Path) -> None:
+    truth_m = duet_m("waltz")
+    seen = see(truth_m, (20.0, 100.0))
+    store, annotations, database = ingested(tmp_path, seen)
+    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
+    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("nearest", "fit")))
+    assert (shard.partition, len(shard.refs("annotations"))) == ("front", 2)
+    manifest = store.manifest(reconstruction.run_shard(shard, store))
+    table = store.read(manifest.ref, "motions")
+    method, person_id = np.array(table["method"]), np.asarray(table["person_id"])
+    assert set(method) == {"fit", "fit_clean"}
+    assert manifest.facts["methods"] == ["fit"]
+    first, side = manifest.facts["cameras"]
+    assert first.startswith("camera front: ")
+    assert "degrees from the first camera" in side
+    assert manifest.facts["skipped"] == []
+    joints, frames = np.asarray(table["op14_m"], dtype=float), np.asarray(table["frame"])
+    apart, errors = [], []
+    for person in (0, 1):
+        rows = (method == "fit_clean") & (person_id == person)
+        found = joints[rows]
+        each = truth_m[60 + STEPS * frames[rows]] @ seen[0].camera.camera_from_world_rotmat.T
+        away = [np.abs((each[:, who] - each[:, who, :1]) - (found - found[:, :1])).mean() for who in (0, 1)]
+        errors.append(min(away))
+        apart.append((found[:, 0], each[:, int(np.argmin(away)), 0]))
+    assert max(errors) < 0.03
+    (a, true_a), (b, true_b) = apart
+    assert np.linalg.norm((a - b) - (true_a - true_b), axis=-1).mean() < 0.06
+    assert sorted(manifest.attachments) == ["front_0.bvh", "front_0.npz", "front_1.bvh", "front_1.npz"]
+    motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
+    assert motion["cameras_name"].tolist() == ["front", "side"]
+
+
+def test_a_camera_of_another_take_is_said_and_nothing_is_made(tmp_path: Path) -> None:
+    seen = [see(duet_m("waltz"), (20.0,))[0], see(duet_m("judo"), (20.0, 100.0))[1]]
+    store, annotations, database = ingested(tmp_path, seen)
+    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
+    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("fit",)))
+    manifest = store.manifest(reconstruction.run_shard(shard, store))
+    assert store.read(manifest.ref, "motions").num_rows == 0
+    (reason,) = manifest.facts["skipped"]
+    assert reason.startswith("front: cameras front")
+
+
+def test_a_camera_of_no_source_is_refused() -> None:
+    sources = [{"id": "front", "path": "front.csv"}, {"id": "side", "path": "side.csv", "camera_of": "frnt"}]
+    with pytest.raises(
+        ValidationError, match="camera_of of 'side' must name another source without camera_of, found 'frnt'"
+    ):
+        IngestParameters.model_validate({"annotations": sources})
+    chained = [*sources[:1], {**sources[1], "camera_of": "front"}, {"id": "c", "path": "c.csv", "camera_of": "side"}]
+    with pytest.raises(ValidationError, match="found 'side'; there are: front"):
+        IngestParameters.model_validate({"annotations": chained})

@@ -94,15 +94,27 @@ def database_of_duets(*names: str) -> SearchedDatabase:
     return database_of_takes(Database(poses, is_real), centre_pairs(known), np.deg2rad([0.0, 10.0, 20.0]).tolist())
 
 
-def errors_m(people: tuple[ReconstructedTrack, ...], truth_m: np.ndarray, seen: Seen) -> tuple[float, float]:
-    """Return the mean error of joints about the mid-hip, and of the vector from one mid-hip to the other."""
-    poses, roots = [], []
+def errors_m(
+    people: tuple[ReconstructedTrack, ...], truth_m: np.ndarray, seen: Seen, *, has_best_scale: bool = False
+) -> tuple[float, float]:
+    """Return the mean error of joints about the mid-hip, and of the vector from one mid-hip to the other.
+
+    `has_best_scale`: after everything is scaled by the one factor that fits the truth best.
+    """
+    poses, trues, roots, true_roots = [], [], [], []
     for number, person in enumerate(people):
         first = 60 - round(seen.ahead_s * STEPS * person.track.rate_hz)
         true = truth_m[first + STEPS * person.track.frames, number] @ seen.camera.camera_from_world_rotmat.T
-        poses.append(root_centred_error_m(person.positions_m, true).mean())
-        roots.append(person.root_m - mid_hip(true))
-    return float(np.mean(poses)), float(np.linalg.norm(roots[1] - roots[0], axis=-1).mean())
+        poses.append(person.positions_m - mid_hip(person.positions_m)[:, None])
+        trues.append(true - mid_hip(true)[:, None])
+        roots.append(person.root_m)
+        true_roots.append(mid_hip(true))
+    scale, apart, true_apart = 1.0, roots[1] - roots[0], true_roots[1] - true_roots[0]
+    if has_best_scale:
+        found, known = (np.concatenate([np.ravel(a), np.ravel(b)]) for a, b in ((poses, apart), (trues, true_apart)))
+        scale = float(found @ known / (found @ found))
+    off = [root_centred_error_m(scale * pose, true).mean() for pose, true in zip(poses, trues, strict=True)]
+    return float(np.mean(off)), float(np.linalg.norm(scale * apart - true_apart, axis=-1).mean())
 
 
 def known_lens(seen: Seen) -> Seen:

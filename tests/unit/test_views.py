@@ -194,8 +194,14 @@ def test_exact_rays_give_back_cameras_and_joints(truth_m: np.ndarray) -> None:
     np.testing.assert_allclose(meet(views), true_m, atol=1e-4)
     wrong = replace(views[1], position_m=views[1].position_m + np.array([0.1, -0.1, 0.1]))
     legs = bone_lengths(OP14, true_m)
-    found = calibrate([views[0], wrong], body_height_m(OP14, np.median(legs, axis=0)), 30.0)
+    statures_m = body_height_m(OP14, np.median(legs, axis=0))
+    found = calibrate([views[0], wrong], statures_m, 30.0)
     np.testing.assert_allclose(found[1].position_m, views[1].position_m, atol=0.02)
+    # One stature that is stated sets the scale, whatever is likely for the other.
+    likely_m, far_m = statures_m * [1.0, 1.12], np.linalg.norm(views[1].position_m)
+    for is_stated, least, most in (([False, False], 1.04, 1.08), ([True, False], 0.99, 1.02)):
+        sized = calibrate([views[0], wrong], likely_m, 30.0, is_stated=np.array(is_stated))
+        assert least < np.linalg.norm(sized[1].position_m) / far_m < most
 
 
 def test_people_who_move_otherwise_are_not_the_same() -> None:

@@ -127,13 +127,16 @@ def lengths_of(points_m: Array) -> tuple[Array, Array]:
     return each / np.where(lengths > 0, lengths, np.nan), lengths
 
 
-def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[View]:
+def calibrate(
+    views: Sequence[View], statures_m: Array, rate_hz: float, *, is_stated: Flags | None = None
+) -> list[View]:
     """Return the views with lens, rotation, place and clock from the people that they see.
 
     Args:
         views: Views as they are first taken to be; the first one keeps place, rotation and clock.
         statures_m: Stature of each person (person,), which sets the scale.
         rate_hz: Frames per second of the first camera.
+        is_stated: Whose stature is known (person,), and not only likely; None for nobody's.
 
     Raises:
         InputError: At no time two views see enough of the same joints of a person.
@@ -149,6 +152,9 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
     # Frames near each other err alike and count as one: what is known beforehand counts so much more.
     scale = np.sqrt(max(1.0, _ALIKE_S * rate_hz * len(shown) / (shown[-1] - shown[0] + 1)))
 
+    size_deviations = np.where(
+        np.zeros(len(statures_m)) if is_stated is None else is_stated, KNOWN_DEVIATION, STATURE_DEVIATION
+    )
     guess_m = meet(part)
     # In pixels of the first guess: in metres, small people before short lenses would be nearer to their rays.
     deviations = [view.deviation_px(guess_m) for view in part]
@@ -169,7 +175,7 @@ def calibrate(views: Sequence[View], statures_m: Array, rate_hz: float) -> list[
             for view, deviation in zip(moved, deviations, strict=True)
         ]
         bones = np.log(np.clip(shares, 0.2, 5.0)) / _BONE_DEVIATION
-        sizes = np.log(body_height_m(OP14, lengths) / statures_m) / STATURE_DEVIATION
+        sizes = np.log(body_height_m(OP14, lengths) / statures_m) / size_deviations
         known = [KNOWN_DEVIATION if view.lens.is_known else _LENS_DEVIATION for view in views]
         parts = (
             np.concatenate([part.ravel() for part in rays]),

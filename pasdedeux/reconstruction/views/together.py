@@ -194,8 +194,9 @@ def reconstruct_views(
     times_s = _times(first_seen)
     statures_m = np.array([_stature_m(column, options) for column in zip(*seen, strict=True)])
     views = _first_views(alone, seen, [0.0, *(take.offset_s for take in same)], times_s, calibration)
+    is_stated = np.isin(person_ids, list(options.statures_m))
     for _ in range(_NUM_PASSES):
-        views = calibrate(views, statures_m, tracks[0].rate_hz)
+        views = calibrate(views, statures_m, tracks[0].rate_hz, is_stated=is_stated)
         views = [
             replace(view, **_moments(shown, times_s + view.offset_s)._asdict())
             for view, shown in zip(views, seen, strict=True)
@@ -220,7 +221,7 @@ def reconstruct_views(
         tuple(track.first_time_s - track.first_frame / track.rate_hz for track in tracks),
         off_m,
         bones_vary,
-        is_scale_known=bool(calibration) or any(person_id in options.statures_m for person_id in person_ids),
+        is_scale_known=bool(calibration) or bool(is_stated.any()),
         left_out=tuple(
             f"camera {name}: person {person.person_id} is nobody whom camera {names[0]} shows"
             for name, people, take in zip(names[1:], alone[1:], same, strict=True)

@@ -101,8 +101,8 @@ def collect(store: Store, since: datetime) -> Collection:
         for run in describe_runs(store):
             if run["status"] == "running" and isinstance(store, FolderStore):  # who builds in a bucket holds its lease
                 raise StoreInUseError(
-                    f"run {run['run_id']} is in progress on {run['host']}, and nothing is removed beside it; let it "
-                    "end, or stop it: it goes on later (if it died there, remove its folder in runs/)"
+                    f"run {run['run_id']} is in progress on {run['host']}, so nothing is removed; wait until it ends, "
+                    "or stop it (it continues later); if it died there, remove its folder in runs/"
                 )
         sweep = find_garbage(store, since)
         remove_unneeded(store, sweep.artifacts)

@@ -73,8 +73,8 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
         return cores if memory is None else max(1, min(cores, memory // worker_bytes))
     if asked > cores and not oversubscribe:
         raise InputError(
-            f"--workers {asked} is more than the cores that may be used here ({cores}): workers compute all the time, "
-            f"so more of them only take turns and memory; give at most {cores}, or --oversubscribe if it is meant"
+            f"--workers {asked} is more than the cores that may be used here ({cores}): more workers need more memory "
+            f"and are not faster; give at most {cores}, or add --oversubscribe"
         )
     return asked
 

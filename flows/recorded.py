@@ -121,7 +121,7 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
         place = places[ref]
         if artifacts.setdefault(place, manifests[ref]) is not manifests[ref]:
             raise PlanError(
-                f"{' '.join(place)} is there twice, with other content: these are artifacts of several runs"
+                f"{' '.join(place)} was found twice, with different content: the artifacts come from several runs"
             )
     return artifacts
 

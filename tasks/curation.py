@@ -120,8 +120,8 @@ def read_choices(path: Path) -> dict[str, Choice]:
         decision, table, name, content, reason = [*line.split(maxsplit=4), *[""] * 5][:5]
         if decision not in DECISIONS or table not in IDENTITY or len(content) != _DIGITS:
             raise InputError(
-                f"{path.name}, line {number}: a choice is '{'|'.join(DECISIONS)} TABLE NAME CONTENT [REASON]' with a "
-                f"content of {_DIGITS} digits and a table of {', '.join(IDENTITY)}; found '{line[:60]}'"
+                f"{path.name}, line {number}: a choice is '{'|'.join(DECISIONS)} TABLE NAME CONTENT [REASON]', where "
+                f"CONTENT has {_DIGITS} digits and TABLE is one of {', '.join(IDENTITY)}; found '{line[:60]}'"
             )
         choice = Choice(decision, table, name, content, reason)
         choices[choice.about] = choice

@@ -111,8 +111,8 @@ def _model_named(inputs: StageInputs, text: str, name: str, split: str) -> Manif
     facts, model = named[0]
     if facts.skeleton != BODY22.name:
         raise InputError(
-            f"generation.model: '{text}' is of {facts.skeleton}; motion is cleaned by the interaction mesh, which is "
-            f"of {BODY22.name} alone"
+            f"generation.model: '{text}' is of {facts.skeleton}; generated motion is cleaned up on {BODY22.name}, so "
+            f"a model of {BODY22.name} is needed"
         )
     return model
 

@@ -276,7 +276,7 @@ def lift_again(
     tables = {table: [one for one in inputs if table in one.tables] for table in ("draws", "seeds")}
     draws_of = [one for one in draw_manifests(StageInputs(tables, seed=0)) if knows_annotations(one)]
     if not draws_of:
-        raise InputError("lifting needs draws of a density beside prior_only, or grown pairs; there are none")
+        raise InputError("lifting needs grown pairs, or draws of a density other than prior_only; there are none")
     draws, index = _indexed_draws(store, tuple(one.ref for one in draws_of))
     pairs = []
     for instead in (None, {moment: points_px}):

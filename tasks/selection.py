@@ -168,7 +168,7 @@ def _chain_of(chains: Mapping[tuple[Any, ...], _ChainWorth], manifest: Manifest)
     """Return the chain that a segment is of."""
     facts = DrawFacts.of(manifest)
     if (place := (facts.density, facts.seed_index, facts.chain)) not in chains:
-        raise InputError(f"nobody knows how chain {facts.chain} of {manifest.partition} went; run its study again")
+        raise InputError(f"chain {facts.chain} of {manifest.partition} has no diagnostics; run its study again")
     return chains[place]
 
 

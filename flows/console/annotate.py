@@ -84,7 +84,9 @@ def annotate(
     _, write = _WRITERS[target.suffix]
     shots = find_shots(film_source(film, settings or (), keys, detections, detect))
     if len({source.film.files for source in shots}) > 1 and (target.suffix != ".csv" or overlay is not None):
-        raise InputError(f"{film} is a folder of films: .json, .xml and --overlay are of one film, give each by itself")
+        raise InputError(
+            f"{film} is a folder of films, but .json, .xml and --overlay need one film: run this command for each"
+        )
     made: list[tuple[FoundShot, AnnotatedShot]] = []
     failed: list[InputError] = []
     for source in shots:

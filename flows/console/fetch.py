@@ -66,7 +66,7 @@ def cmu(
 ) -> None:
     """Download ASF/AMC files of the CMU motion capture database: those of a study, or of some subjects."""
     if subjects is None and takes is not None:
-        raise InputError("--takes belongs to --subjects; a study names its own takes")
+        raise InputError("--takes needs --subjects; leave it out for a study, which names its own takes")
     wanted: Mapping[str, Sequence[str] | None] = (
         takes_of_study(study)
         if subjects is None

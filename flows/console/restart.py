@@ -112,6 +112,6 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
     draw = f"draws@{chosen.ref.key[:12]}#{chosen.row}"
     command = next_command("export", draw, "--format", "json", "--out", "seeds", store=Path(str(store)))
     raise PlanError(
-        f"draws@{chosen.ref.key[:12]} belongs to no study that is on record in the store {store}: "
-        f"its settings are not known.  Export it ({command}) and name the file in a study under seeds.files"
+        f"draws@{chosen.ref.key[:12]} is of no study that is recorded in the store {store}, so "
+        f"its settings are unknown.  Export it ({command}) and name the file in a study under seeds.files"
     )

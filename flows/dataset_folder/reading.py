@@ -209,7 +209,7 @@ def _bring(
             tables[table] = writer.finish()
         for name in recorded.attachments:
             if Path(name).name != name:
-                raise CorruptArtifact(f"{folder} names an attachment '{name}' that is none")
+                raise CorruptArtifact(f"{folder} names an attachment '{name}' that it does not have")
             shutil.copyfile(folder / attachment_name(recorded, name), staging.path / name)
         brought = replace(recorded, tables=tables, inputs=inputs)
         if brought != recorded or [ref.key for ref in inputs] != [ref.key for ref in recorded.inputs]:

@@ -106,7 +106,7 @@ def write_folder(
         aside.rename(out)
     there = read_manifest(out)
     if since and there is None:
-        raise PlanError(f"{out} has no dataset that could be brought up to date; leave --since away")
+        raise PlanError(f"{out} has no dataset to update; leave out --since")
     if there is not None and there.label not in (since, dataset.label):
         raise PlanError(f"{out} has {there.label}; `--since {there.label}` updates it, --out names another folder")
     if there is None and out.is_dir() and any(out.iterdir()):

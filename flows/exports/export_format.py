@@ -127,7 +127,7 @@ class FileNames:
             if not is_plain_name(str(part)):
                 raise InputError(
                     f"{json.dumps(part)[:80]} is to be part of a file's name: up to 200 letters, digits, '.', '_' and "
-                    "'-' are allowed; what was to be exported names a take, sequence, variant or model so"
+                    "'-' are allowed; it is the name of a take, sequence, variant or model of this export"
                 )
         name = "_".join(map(str, parts)) + (f".{who}" if who else "")
         self._times[name] += 1

@@ -47,7 +47,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
             path, rate_hz = files.path(cast, suffix=".mp4"), _STILLS_HZ if cast.labels else cast.rate_hz
             write_film(path, _drawn(export, cast, cast.seen), rate_hz)
     if not (written := files.close()):
-        raise InputError(f"'{export.text}' holds stills only: there is no video to draw on")
+        raise InputError(f"'{export.text}' has photographs only: there is no video to draw on")
     return written
 
 

@@ -51,8 +51,8 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
         return replace(given, has_identities=True)
     if is_key:
         raise InputError(
-            "its key frames do not number the people (COCO: track_id; CSV: person; CVAT: tracks); from one to "
-            "the next they move too far to be followed"
+            "its key frames do not number the people (COCO: track_id; CSV: person; CVAT: tracks), who move too far "
+            "between key frames to be followed"
         )
     resolved = resolve_people(replace(given, confidence=np.where(given.is_given, given.confidence, 0.0)))
     why = next((sequence.why_not_followed for sequence in resolved.sequences if sequence.why_not_followed), "")

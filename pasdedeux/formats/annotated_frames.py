@@ -270,8 +270,8 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
     is_centred = bool(np.nanmean(points < 0) > MAX_NEGATIVE)
     if is_centred and (np.nanpercentile(np.abs(points), 90) > 1 or _has_hips_at_origin(frames)):
         raise InputError(
-            "the coordinates lie about 0 within 2: they are neither pixels nor shares of the image, but perhaps "
-            "MediaPipe's world landmarks or another scale; pixels, or 0 to 1 or -1 to 1 across the image, are needed"
+            "the coordinates lie around 0, within 2: they are not in pixels, but may be MediaPipe's world landmarks; "
+            "give pixels, or coordinates from 0 to 1 or from -1 to 1 across the image"
         )
     sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
     known = [size for size in sizes if size is not None]
@@ -308,7 +308,7 @@ def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> Annot
         sides = f"{width} x {height}", f"{stated_px[0]} x {stated_px[1]}"
         if abs(stated_px[0] * height / (width * stated_px[1]) - 1) > MAX_OTHER_SHAPE:
             raise InputError(
-                f"it is about images of {sides[0]}, but the film has {sides[1]} pixels, which is another shape; "
+                f"its keypoints are of images of {sides[0]} pixels, but the film has {sides[1]}, another shape; "
                 "give the keypoints of this film"
             )
         scale[name] = stated_px[0] / width

@@ -212,7 +212,7 @@ def arrange(
         return _of_numbers(detections, layout, may_be_cut=may_be_cut)
     unnamed = next((detection for detection in detections if detection.names not in named), None)
     if unnamed:
-        raise FormatError(f"{unnamed.where}: its keypoints have no names, and those of others have")
+        raise FormatError(f"{unnamed.where}: its keypoints have no names, but those of other frames or people have")
     all_names = max(named, key=lambda names: len(names or ())) or ()
     known = layout_of_names(all_names) if layout == "auto" else get_keypoint_layout(layout)
     num_named = known.num_named(all_names)

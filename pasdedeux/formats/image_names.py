@@ -99,7 +99,7 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     bare = next((name for name in parsed if not name.numbers), None)
     largest = max(map(len, templates.values()), default=0)
     if bare and largest >= max(_MIN_FRAMES, len(parsed) / 2) and len(templates[bare.template]) < largest:
-        raise FormatError(f"'{bare.name[:60]}' has no number, and most other names are numbered: take it away")
+        raise FormatError(f"'{bare.name[:60]}' has no number, but most other names have one: rename or remove it")
     if bare or any(_are_photographs(alike) for alike in templates.values()):
         return _stills(parsed)
     videos = {name.name: ("", "", "") for name in parsed}

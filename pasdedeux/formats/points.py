@@ -226,7 +226,7 @@ def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | 
         for key, one in value.items():
             yield from _poses(one, int(key) if re.fullmatch(r"[0-9]{1,9}", key) else key)
     else:
-        raise FormatError("something is no list of points with x and y")
+        raise FormatError("a pose must be a list of points with x and y")
 
 
 def _table(points: Sequence[Any]) -> Array:

@@ -87,8 +87,8 @@ def choose_seeds(
     pool = np.concatenate(pools) if pools else possible
     if len(pool) < num_seeds:
         raise InputError(
-            f"{num_seeds} seeds were asked for, but only {len(pool)} of {len(pairs_m)} frames will do: close to each "
-            f"other, and at most {quality.prior.max_invalid_angles} joint angles out of range ({len(possible)} of them)"
+            f"{num_seeds} seeds were asked for, but only {len(pool)} of {len(pairs_m)} frames can be one: people near "
+            f"each other, at most {quality.prior.max_invalid_angles} joint angles out of range ({len(possible)})"
         )
     chosen = [int(pool[np.argmin(quality.violation_m2[pool])])]
     points = np.asarray(pairs_m[pool], dtype=np.float64).reshape(len(pool), -1, 3)

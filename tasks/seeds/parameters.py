@@ -62,7 +62,7 @@ class SeedsParameters(PriorSettings, Parameters):
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
         if self.num_seeds == 0 and self.num_lifted == 0 and not (self.frames or self.files):
-            raise ValueError("num_seeds, frames, files and num_lifted all ask for none; chains need at least one seed")
+            raise ValueError("chains need at least one seed: set num_seeds, frames, files or num_lifted")
         return self
 
     @model_validator(mode="after")

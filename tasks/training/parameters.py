@@ -92,7 +92,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
             chain = [name]
             while (start := known[chain[-1]].start) is not None:
                 if start in chain:
-                    raise InputError(f"training: {' -> '.join([*chain, start])} build on each other")
+                    raise InputError(f"training: {' -> '.join([*chain, start])} start from each other in a circle")
                 if start not in known:
                     raise InputError(f"training: '{chain[-1]}' starts from '{start}', which is not known")
                 if missing := set(known[chain[-1]].section.splits).difference(known[start].section.splits):

@@ -69,7 +69,7 @@ def find_shots(
         for name, path, given in films:
             shots += _shots_of(options, name, open_film(path), path, given, networks, is_held_out, take_seconds)
     if not shots:
-        raise InputError(f"video {options.id}: nothing is given of any of its shots")
+        raise InputError(f"video {options.id}: none of its shots has keypoints: give keys, detections or detect")
     return shots
 
 
@@ -337,8 +337,8 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
         frames = _read_given(parameters, files, Footage(film.image_size_px))
         if frames.rate_hz and max(frames.rate_hz / rate_hz, rate_hz / frames.rate_hz) > _MAX_RATE_RATIO:
             raise InputError(
-                f"it is about a film of {frames.rate_hz:g} Hz, but this one has {rate_hz:.6g}; where the film's own is "
-                "wrong, set rate_hz"
+                f"it is about a film of {frames.rate_hz:g} Hz, but this one has {rate_hz:.6g}; if the film states a "
+                "wrong rate, set rate_hz"
             )
         last = film.first_number + film.num_frames - 1
         outside = frames.frame[(frames.frame < film.first_number) | (frames.frame > last)]

@@ -15,6 +15,7 @@ exclude_patterns = ["_build"]
 suppress_warnings = ["ref.python"]  # fields of several classes have one name
 html_theme = "furo"
 html_copy_source = False
+html_static_path = ["_static"]
 myst_heading_anchors = 4
 default_role = "code"
 autodoc_member_order = "bysource"
@@ -58,8 +59,15 @@ def _document(app: Any, what: str, name: str, owner: Any, options: Any, lines: l
     lines[:] = [re.sub(r"(?<!\\)\*(?=\w)", r"\\*", line) for line in lines]
 
 
+def _style(app: Any, page: str, template: str, context: Any, tree: Any) -> None:
+    """Break long paths in the tables of the papers."""
+    if page == "papers":
+        app.add_css_file("papers.css")
+
+
 def setup(app: Any) -> None:
-    """Connect the links, and show diagrams as text."""
+    """Connect the links and styles, and show diagrams as text."""
+    app.connect("html-page-context", _style)
     app.connect("source-read", _link)
     app.connect("include-read", _link_included)
     app.connect("autodoc-process-signature", _signature)

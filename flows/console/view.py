@@ -12,8 +12,10 @@ from flows.console.context import StoreOption, WorkersOption, app, echo, open_st
 from flows.console.curate import CURATION, CurationOption
 from flows.console.inputs import UnitOption, find_take
 from flows.viewing.editing import Editor
+from flows.viewing.own_joints import open_own_joints
 from flows.viewing.shelf import Shelf, open_shelf
 from flows.viewing.viewer import Viewer
+from pasdedeux.errors import InputError
 from tasks.curation import Choosing
 
 
@@ -48,8 +50,11 @@ def view(
     words = what or []
     with contextlib.ExitStack() as held:
         if len(words) > 1 or (words and Path(words[0]).is_file()):
-            opened, ref = held.enter_context(find_take(words, store, unit or (), None))
-            shelf, at = Shelf(opened, [ref]), None
+            try:
+                opened, ref = held.enter_context(find_take(words, store, unit or (), None))
+                shelf, at = Shelf(opened, [ref]), None
+            except InputError as error:
+                shelf, at = held.enter_context(open_own_joints(words, unit or (), error)), None
         else:
             shelf = open_shelf(open_store(store), words[0] if words else None)
             at = words[0] if words and "#" in words[0] else None

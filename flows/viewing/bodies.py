@@ -178,6 +178,8 @@ def _rests(people: People) -> Array:
 
 def _radii(people: People) -> Array:
     """Return radii (person, joint), metres, from the frames in which everybody is there; a usual body's where none."""
+    if people.skeleton.name not in WORKING_SKELETONS:
+        return np.full(people.positions_m.shape[1:3], _STICK_M)
     model, whole = capsule_model(people.skeleton), _whole(people)
     if not len(whole) or not np.ptp(whole[..., 2]):
         return np.broadcast_to(model.radii_m(1.7), people.positions_m.shape[1:3])
@@ -196,7 +198,7 @@ def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, A
     """
     there = np.isfinite(people_m).all(axis=(1, 2))
     people, radii = people_m[there], radii_m[there]
-    if len(people) < 2:
+    if len(people) < 2 or skeleton.name not in WORKING_SKELETONS:
         return np.empty((0, 3)), np.empty((0, 3))
     contacts = find_contacts(people[None], radii, skeleton, rate_hz=1.0)
     held = contacts.is_held[0]

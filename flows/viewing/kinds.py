@@ -56,6 +56,8 @@ class Kind:
 
 
 def _take(shelf: Shelf, part: Part, item: Item) -> Scene:
+    if (scene := shelf.scenes.get(item.pieces[0][0])) is not None:
+        return scene
     data = item.read(shelf.store, "poses", ["person", "frame", "time_s", "body22_m"])
     grid = Grid.of(data["frame"], data["person"])
     objects = read_objects(shelf.store, item.pieces[0][0])

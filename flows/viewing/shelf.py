@@ -17,6 +17,7 @@ import numpy as np
 from flows.recorded import read_recorded
 from flows.records import last_sections
 from flows.viewing.films import find_film, find_shot
+from flows.viewing.scene import Scene
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from storage_schema import (
@@ -102,6 +103,7 @@ class Shelf:
         beside: What else is at hand: the rest of the study.
         tables: Tables to show, all that can be where none is given.
         sections: The study as it was recorded: where its films are.
+        scenes: Scenes of artifacts that have no working skeleton: files whose joints fit no layout.
     """
 
     def __init__(
@@ -111,8 +113,9 @@ class Shelf:
         beside: Iterable[ArtifactRef] = (),
         tables: Sequence[str] = (),
         sections: Mapping[str, Any] | None = None,
+        scenes: Mapping[ArtifactRef, Scene] | None = None,
     ) -> None:
-        self.store = store
+        self.store, self.scenes = store, scenes or {}
         ingest = (sections or {}).get("ingest", {})
         self.film = lru_cache(maxsize=None)(lambda ref: find_film(store.manifest(ref), ingest))
         self.shot = lru_cache(maxsize=4)(lambda ref: find_shot(store.manifest(ref), ingest))

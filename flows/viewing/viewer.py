@@ -31,7 +31,7 @@ from flows.viewing.shown import MOST_FIGURES, ShownPane, part_label
 from flows.viewing.side import Pointer, SidePicture
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.shown_figures import figure_words
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons import PAIR17, WORKING_SKELETONS
 from tasks.curation import Choosing
 
 TICK_S = 1.0 / 30.0
@@ -281,7 +281,8 @@ class Viewer:
             said = scene.say(frame)
             lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *said]
             lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
-            if not scene.is_flat and self.playing.marks.value:
+            is_body = scene.people.skeleton.name in WORKING_SKELETONS and not scene.is_flat
+            if is_body and self.playing.marks.value:
                 lines.append("{} contacts, {} penetrations".format(*self._num_marks))
             lines += [*self.curation.lines(moment), *scene.facts]
             figures = self.listing.figure_lines(moment.item)

@@ -69,6 +69,21 @@ def read_bvh(data: bytes | str, person: int = 0) -> SourceMotion:
     return _read(data).motion(person)
 
 
+def read_bvh_joints(data: bytes | str) -> tuple[float | None, list[tuple[Skeleton, Array]]]:
+    """Read the frame rate of a BVH file, and joints and positions (frame, J, 3), file units, below each ROOT."""
+    file, trees = _read(data), []
+    skeleton, places = file.hierarchy.skeleton, file.hierarchy.positions(file.values)
+    is_several = skeleton.joint_names[skeleton.root] == _SEVERAL
+    for root in skeleton.children(skeleton.root) if is_several else (skeleton.root,):
+        kept = [root]
+        for joint in kept:
+            kept.extend(skeleton.children(joint))
+        parents = tuple(kept.index(skeleton.parents[joint]) if joint != root else -1 for joint in kept)
+        names = tuple(skeleton.joint_names[joint] for joint in kept)
+        trees.append((Skeleton(skeleton.name, names, parents), places[:, kept]))
+    return file.rate_hz, trees
+
+
 def read_bvh_head(data: bytes | str, person: int = 0) -> MotionHead:
     """Read a BVH file but do not convert its rotations, which takes most of the time.
 

@@ -110,6 +110,17 @@ class BvhHierarchy:
             notes=said,
         )
 
+    def positions(self, values: Array) -> Array:
+        """Return where all joints are (frame, J, 3), file units, from rows of numbers (frame, sum of channels)."""
+        places, turns = [np.zeros((0, 3))] * self.skeleton.num_joints, self._turns(list(self.skeleton.order), values)
+        carried = dict(zip(self.skeleton.order, np.moveaxis(turns, 1, 0), strict=True))
+        for joint in self.skeleton.order:
+            places[joint], parent = self._place(joint, values), self.skeleton.parents[joint]
+            if parent >= 0:
+                places[joint] = places[parent] + rotate(carried[parent], places[joint])
+                carried[joint] = multiply(carried[parent], carried[joint])
+        return np.stack(places, axis=1)
+
     @cached_property
     def _starts(self) -> list[int]:
         """The first column of each joint, and the number of columns."""

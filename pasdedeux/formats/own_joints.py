@@ -1,0 +1,69 @@
+"""The joints of any motion file as they are, of a body or not: what can be drawn of a file that fits no layout."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pasdedeux.arrays import Array
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.bvh import BVH, read_bvh_joints
+from pasdedeux.formats.file_format import MotionFormat
+from pasdedeux.formats.positions_as_motion import source_from_positions
+from pasdedeux.formats.resolution import resolve_motion
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.kinematics.forward import forward_kinematics
+from pasdedeux.skeletons import Skeleton
+
+
+@dataclass(frozen=True)
+class OwnJoints:
+    """One hierarchy of a file over time.
+
+    Args:
+        skeleton: Joints and parents of the file.
+        positions: Positions (frame, J, 3), file units and axes; bones may change their length.
+        rate_hz: Frame rate that the file states, None where it states none.
+        metres_per_unit: Length of its unit, None where it states none.
+    """
+
+    skeleton: Skeleton
+    positions: Array
+    rate_hz: float | None
+    metres_per_unit: float | None
+
+    @property
+    def source(self) -> SourceMotion:
+        """The joints as a motion without twist, bones at their median lengths: by which unit and axis are guessed."""
+        return source_from_positions(
+            self.skeleton, self.positions, rate_hz=self.rate_hz, metres_per_unit=self.metres_per_unit
+        )
+
+
+def read_own_joints(kind: MotionFormat, data: bytes, companion: bytes = b"") -> list[OwnJoints]:
+    """Return each hierarchy of a motion file; one that holds several people as one tree is one hierarchy.
+
+    Raises:
+        FormatError: The file is mangled.
+    """
+    if kind is BVH:
+        rate_hz, trees = read_bvh_joints(data)
+        return [OwnJoints(skeleton, positions, rate_hz, None) for skeleton, positions in trees]
+    return [
+        OwnJoints(
+            one.skeleton,
+            forward_kinematics(one.skeleton, one.rest_offsets, one.root_translation, one.local_unitquat)[0],
+            one.rate_hz,
+            one.metres_per_unit,
+        )
+        for one in kind.read_people(data, companion)
+    ]
+
+
+def is_body(kind: MotionFormat, data: bytes, companion: bytes = b"") -> bool:
+    """Return whether everybody of a file is a body on a known layout, whose bones keep their lengths."""
+    try:
+        people: Sequence[SourceMotion] = kind.read_people(data, companion)
+    except FormatError:
+        return False
+    return all(resolve_motion(one.rest).layout is not None for one in people)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -121,7 +122,7 @@ def _together(skeletons: Sequence[Skeleton], placed: Sequence[Array]) -> People:
         for rig, start in zip(rigs, starts, strict=False)
         for parent in rig.parents
     ]
-    positions = np.empty((min(map(len, placed)), len(placed), len(names), 3), dtype=np.float32)
+    positions: Any = np.empty((min(map(len, placed)), len(placed), len(names), 3), dtype=np.float32)
     for person, (rig, own) in enumerate(zip(skeletons, placed, strict=True)):
         start, own = starts[rigs.index(rig)], own[: len(positions)]
         positions[:, person] = own[:, [rig.root]]

@@ -308,8 +308,8 @@ def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> Annot
         sides = f"{width} x {height}", f"{stated_px[0]} x {stated_px[1]}"
         if abs(stated_px[0] * height / (width * stated_px[1]) - 1) > MAX_OTHER_SHAPE:
             raise InputError(
-                f"its keypoints are of images of {sides[0]} pixels, but the film has {sides[1]}, another shape; "
-                "give the keypoints of this film"
+                f"its keypoints are of images of {sides[0]}, but the film has {sides[1]} pixels, which is another "
+                "shape; give the keypoints of this film"
             )
         scale[name] = stated_px[0] / width
         frames = frames.remark(f"keypoints of images of {sides[0]} scaled to {sides[1]}")

@@ -46,7 +46,7 @@ class Variant:
         frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
         energy: Energy of the motion; NaN where a model made it.
         energy_fk: Energy of plain forward kinematics, which is never lower.
-        estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None where bulk did not end it.
+        estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None unless `solver` is `bulk`.
         solver: `bulk`, `polished`, `plain_fk` when bulk failed, or `model`.
         num_iterations: Iterations of the solver.
         verdict: Whether it is good, and why not.
@@ -137,7 +137,7 @@ class Augmenter:
             variation: What it was made for.
             positions_m: The motion (T, P, 22, 3), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres; 0 where not given.
-            solved: What is known of how it was made: fields of `Variant`, without which a model made it.
+            solved: Fields of `Variant` that say how it was solved; without them it counts as made by a model.
         """
         bone_scale = complete_scales(self.source, variation.bone_scale[None])
         quality, frames = self.meter.measure(

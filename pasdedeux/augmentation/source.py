@@ -32,8 +32,8 @@ _WRISTS = BODY22.indices(["left_wrist", "right_wrist"])
 class Source:
     """The motion of one or more people over time, the template of every variant.
 
-    The joints of all people make the points: person A's 22, then B's, and so on; n of them.  What has to do with
-    surfaces, and so the solver, is of `body22` alone; models may be of another skeleton.
+    The joints of all people make the points: person A's 22, then B's, and so on; n of them. Surfaces and the solver
+    need `body22`; models may have another skeleton.
 
     Args:
         positions_m: World positions (frame, person, joint=22, 3), metres, Y up.
@@ -220,7 +220,7 @@ def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, sour
     """Return local rotations (T, P, 22, 4) that play a variant on its own scaled skeleton.
 
     Joints with several children (pelvis, upper spine) take the rotation that fits all of them best, so a hip or collar
-    may miss by what the girdle bends; every other bone is met exactly.
+    may be a little off where the girdle bends; all other bones are exact.
 
     Args:
         rest_m: body22 of each person in the source's rest pose (P, 22, 3), metres.

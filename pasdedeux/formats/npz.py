@@ -42,7 +42,7 @@ def array_names(data: bytes) -> frozenset[str]:
 def read_npz(
     data: bytes, what: str, is_wanted: Callable[[str], bool] = lambda name: True
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return the arrays of an npz archive by name, of which others than the wanted ones are not opened.
+    """Return the wanted arrays of an npz archive by name; no others are opened.
 
     Raises:
         FormatError: The archive is damaged, holds Python objects, or states more data than it has or may have.

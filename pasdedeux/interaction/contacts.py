@@ -47,7 +47,7 @@ _SMALLEST_WEIGHT = 1e-2
 
 @dataclass(frozen=True)
 class Contacts:
-    """The contacts of each frame, up to M of them, filled up with contacts of no weight.
+    """The contacts of each frame, filled up to M with contacts of weight 0.
 
     Args:
         points: Ends of the first bone and of the second (T, M, 4), the joints of all people numbered through.
@@ -91,7 +91,7 @@ class Contacts:
         return np.stack([first, first - self.vectors(points_m)], axis=-2)
 
     def spread(self, pulls: Array, num_points: int) -> Array:
-        """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, P J, 3)."""
+        """Return the forces on joints (T, P J, 3) that forces on the contacts' vectors (T, M, 3) amount to."""
         spread = np.zeros((len(pulls), num_points, 3))
         frames = np.broadcast_to(np.arange(len(pulls))[:, None, None], self.points.shape)
         np.add.at(spread, (frames, self.points), self.shares[..., None] * pulls[:, :, None])
@@ -282,7 +282,7 @@ def _hands(bones: Indices, share: Array, skeleton: Skeleton) -> Array:
 
 
 def packer(frame: npt.NDArray[np.intp], num_frames: int) -> Callable[[npt.NDArray[Any]], npt.NDArray[Any]]:
-    """Return what lays values (n, ...) of these frames (n,), which rise, out by frame (num_frames, M, ...).
+    """Return a function that arranges values (n, ...) by frame (num_frames, M, ...); their frames (n,) must not fall.
 
     M is the greatest number in a frame; the others are filled up with zeros.
     """

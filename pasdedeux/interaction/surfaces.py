@@ -106,7 +106,7 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
 def standing_out(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> Array:
     """Return how distinct the contact of two bones is from that of neighbouring bones (T, pair), from 0 to 1.
 
-    Where they are closest at a joint and the next bone from there is closer, it is that bone which meets the other.
+    If they are closest at a joint, and the next bone from there is closer still, the contact is of that bone.
 
     Args:
         bones: Child joints of two bones (pair, 2), joints of all people numbered through.

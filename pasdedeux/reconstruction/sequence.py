@@ -32,7 +32,7 @@ class SearchedDatabase:
         take_frames: Its frame in the take (row,).
         pairs_m: Pairs of people (row, person=2, 14, 3), as `pairs.centre_pairs` gives them; None for no pairs.
         clusters: Clusters of the database, for the method `published`.
-        ready: Searchers at these pitches, where they are at hand.
+        ready: Searchers at these pitches that are already built.
     """
 
     poses: Database
@@ -96,7 +96,7 @@ def reconstruct_sequence(
 
     Args:
         tracks: Tracks of people whose identities are resolved, at least one.
-        database: Poses that have not seen the video.
+        database: Poses to match, without the takes that the video shows.
         camera: What is known of the camera.
         options: Methods, clean-up and statures.
         sequence_id: Name of the video, for rows of the table of people in verdicts.

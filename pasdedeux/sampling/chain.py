@@ -25,8 +25,8 @@ class ChainState:
 
     Args:
         parameters: Where the chain is.
-        evaluation: The target there; its density must be positive.
-        context: What the proposal must know of the place; None where it needs nothing.
+        evaluation: Target at `parameters`; its density must be positive.
+        context: Data that the proposal keeps for this point; None if it needs none.
         log_scales: Logarithms of the factors on the proposal's deviations of each block, (34,), learned in warm-up.
     """
 
@@ -42,7 +42,7 @@ class Correction:
 
     Args:
         log_ratio: log Q(here | there) - log Q(there | here): what eq. 10 adds.
-        context: What the proposal must know of the proposed point.
+        context: Data that the proposal keeps for the proposed point.
     """
 
     log_ratio: float
@@ -57,8 +57,7 @@ class Proposed:
         parameters: The point.
         log_ratio: log Q(here | there) - log Q(there | here): what eq. 10 adds; 0 for a symmetric proposal.  An upper
             bound of it when there is `correct`.
-        correct: Prepares the proposal at the proposed point, which is dear, for the ratio itself; None where it is
-            known.
+        correct: Computes the exact ratio, which is expensive; None if `log_ratio` is exact.
         blocks: Blocks that moved, for warm-up, which learns their scales; None where scales are not learned.
     """
 
@@ -76,7 +75,7 @@ Gauge = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class StepInfo:
-    """What a person wants to know of a step, and what learns scales from it."""
+    """Diagnostics of a step, from which scales are learned in warm-up."""
 
     is_accepted: bool
     blocks: Blocks | None = None
@@ -106,9 +105,8 @@ def step(
 ) -> tuple[ChainState, StepInfo]:
     """Take one Metropolis-Hastings step (eq. 10 of Yin et al. 2018).
 
-    The level that the proposed point must reach is drawn first, so the density may stop as soon as it is missed.  Where
-    the ratio of the proposal's densities is only known once the proposal was prepared at the proposed point, which is
-    dear, its bound decides whether that is worth it; the result is as if it had been known at once.
+    The acceptance threshold is drawn first, so the density may stop as soon as it falls below it. If the exact ratio of
+    the proposal is expensive, its upper bound is tested first; the result is the same.
 
     Args:
         rng: Source of randomness.
@@ -152,8 +150,7 @@ def run_segment(
         propose: Proposal.
         num_draws: Draws kept.
         thin: Steps per kept draw.
-        gauge: Moves a kept draw rigidly to the representative that is stored; the target there is the same, and so is
-            what the proposal must know of it.
+        gauge: Moves a kept draw rigidly to where it is stored; target and proposal do not depend on that.
     """
     draws: list[ChainState] = []
     num_accepted = np.zeros(num_draws, dtype=np.int64)
@@ -187,7 +184,7 @@ def generator_from_json(text: str) -> np.random.Generator:
 
 
 def proposal_to_json(state: ChainState) -> str:
-    """Return what a chain must remember of its proposal, as JSON without loss."""
+    """Return the learned scales and the context of a chain's proposal as JSON, without loss."""
     context = None if state.context is None else state.context.tolist()
     return json.dumps({"log_block": state.log_scales.tolist(), "context": context})
 

@@ -46,7 +46,7 @@ class Filling:
         parents: Rows of the pairs that each is a mean of, the one whose parameters were used first, (n, 7).
         weights: Weights of the parents, (n, 7), summing to 1.
         log_prior: Log of eq. 2 (Yin et al. 2018) with the pair's own bone lengths, (n,).
-        num_refused: Means that were not plausible, or like a pair that was there.
+        num_refused: Means that were not plausible, or nearly equal to an existing pair.
     """
 
     pairs_m: Array

@@ -36,7 +36,7 @@ class RepairSettings(Settings):
 
 
 def learn_scales(targets: Sequence[PairDensity], rng: np.random.Generator) -> Array:
-    """Return the logarithms of the step sizes (34,) for chains from the pairs of these densities: means over a few."""
+    """Return the logarithms of step sizes (34,): means over chains from the pairs of a few of these densities."""
     learned = [
         warm_up(rng, _start(target), target, _STEPS.propose, num_steps=_STEPS_TAUGHT)
         for target in (targets[at] for at in evenly_spread(len(targets), _NUM_TAUGHT))
@@ -45,7 +45,7 @@ def learn_scales(targets: Sequence[PairDensity], rng: np.random.Generator) -> Ar
 
 
 def repair(target: PairDensity, rng: np.random.Generator, log_scales: Array, num_steps: int) -> Segment:
-    """Return the last of some steps from the pair of a density, as the one draw of a segment."""
+    """Run a short chain from the pair of a density, and return its last state as a segment of one draw."""
     state, gauge = replace(_start(target), log_scales=log_scales), target.chart.gauge_fixed
     return run_segment(rng, state, target, _STEPS.propose, num_draws=1, thin=num_steps, gauge=gauge)[1]
 

@@ -21,6 +21,9 @@ from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_r
 _LARGEST_PX = 640
 """Longer side of the images in which corners are followed."""
 _NUM_CORNERS, _MIN_CORNERS = 300, 12
+_MIN_STRENGTH, _BLOCK_PX = 3e-4, 3
+"""Weakest corners, by the smaller eigenvalue of their gradients: 2 grey levels a pixel.  Those of a plain backdrop are
+compression and shadows, which move with the people: 3e-5."""
 _WINDOW_PX, _NUM_LEVELS = 15, 3
 _MAX_MISFIT_PX = 1.0
 """Distance within which a corner fits a homography."""
@@ -106,7 +109,8 @@ class CameraFollower:
         """Make an image the reference."""
         import cv2
 
-        strong = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.003, 5.0, mask=is_free)
+        is_strong = cv2.cornerMinEigenVal(grey, _BLOCK_PX) >= _MIN_STRENGTH
+        strong = cv2.goodFeaturesToTrack(grey, _NUM_CORNERS, 0.003, 5.0, mask=is_free * is_strong, blockSize=_BLOCK_PX)
         corners = np.zeros((0, 2), np.float32) if strong is None else strong.reshape(-1, 2)
         self._reference = (grey, corners, turn, corners.copy()) if len(corners) >= _MIN_CORNERS else None
 

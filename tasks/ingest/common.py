@@ -8,7 +8,7 @@ from pydantic import AfterValidator
 
 from tasks.stage import StageName
 
-INGEST = StageName("ingest", 23)
+INGEST = StageName("ingest", 24)
 ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 """Names of takes and of sources."""
 

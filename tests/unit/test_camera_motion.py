@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -123,6 +124,19 @@ def test_a_camera_that_sees_no_background_is_not_known() -> None:
         follower.add(image)
     assert follower.motion(0) == (None, True)
     assert "not known" in LOST
+
+
+def test_shadows_on_a_plain_backdrop_are_not_taken_for_motion_of_the_camera() -> None:
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    backdrop = 60.0 + 0.1 * x + 6.0 * np.kron(rng.uniform(size=(30, 40)), np.ones((8, 8)))
+    backdrop = cv2.GaussianBlur(backdrop, (0, 0), 4.0)
+    follower = CameraFollower(np.full((40, 1, 2, 2), np.nan))
+    for at in range(40):
+        away = np.hypot((x - 160.0 - 1.5 * at) / 90.0, (y - 120.0 + at) / 70.0)
+        shaded = backdrop * (1.0 - 0.25 / (1.0 + np.exp(12.0 * (away - 1.0))))
+        follower.add((shaded + rng.normal(0.0, 0.6, shaded.shape)).round().astype(np.uint8))
+    assert follower.motion(0)[0] is None
 
 
 def test_the_motion_of_film_of_a_variable_rate_is_placed_with_its_keypoints(bodies: Bodies) -> None:

@@ -93,7 +93,7 @@ class Batch(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What Anderson acceleration looks back on: m moves, whose changes are kept for some of the frames.
+    """The history of Anderson acceleration: m moves, whose changes are kept for some of the frames.
 
     Args:
         last_state: State after the last iteration, before it was mixed (row, 3, variant).

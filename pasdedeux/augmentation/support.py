@@ -28,7 +28,7 @@ _SMOOTHING_S = 0.1
 def stance_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
     """Return the degree to which each joint stands (frame, P, 22), 1 if slow and on the floor in the source.
 
-    Contacts with the floor that are stated stand in place of what is found.
+    Stated contacts with the floor replace detected ones.
     """
     positions = source.positions_m
     velocity = np.gradient(positions, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(positions.shape)

@@ -104,9 +104,9 @@ def mean_distance(features: Array) -> float:
 
 
 def halves(strata: Sequence[tuple[str, ...]], generator: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Return things (n,) by index, dealt into two halves; of things of a stratum in turn, so both are made up alike.
+    """Split the indices of n items into two halves that have the same share of each stratum.
 
-    Halves by chance alone differ in how much of which interaction they have, by more than a model could change.
+    Purely random halves would differ more in their interactions than models do.
 
     >>> halves([("hug", "a"), ("hug", "a"), ("judo", "b"), ("judo", "c")], np.random.default_rng(0))
     ([0, 2], [1, 3])

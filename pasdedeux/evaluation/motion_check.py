@@ -33,7 +33,7 @@ _SHOWN_S = 5.0
 
 @dataclass(frozen=True)
 class TouchFigures:
-    """How people touch each other; nothing of it is judged, for who dances apart is no fault."""
+    """How people touch each other, for information: it is no fault to dance apart."""
 
     num_contacts: int = figure(
         "Contacts: unbroken periods in which two bones of different people touch", words="contacts"

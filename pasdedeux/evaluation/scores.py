@@ -76,11 +76,10 @@ def bootstrap_interval(
     *,
     units: Sequence[str] | None = None,
 ) -> tuple[float, float]:
-    """Return where the mean of values (n,) lies in 95 % of 1000 draws with repetition; NaN of fewer than two.
+    """Return the 95 % bootstrap interval of the mean of values (n,), from 1000 resamples; NaN of fewer than two.
 
-    With `over` (n,), values of the same things, it is where the one mean over the other lies.  With `units` (n,), such
-    as takes, what is of one unit is drawn together: values of one are alike, and the interval is of other units; NaN of
-    fewer than `FEWEST_UNITS`.
+    With `over` (n,), values of the same items, it is the interval of the ratio of both means. With `units` (n,), such
+    as takes, whole units are resampled, because values of one unit are alike; NaN of fewer than `FEWEST_UNITS`.
 
     The percentile bootstrap (Efron 1979), with draws that are always the same.
 

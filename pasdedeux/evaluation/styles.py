@@ -22,7 +22,8 @@ class Style(NamedTuple):
 def style_of(method: str) -> Style:
     """Return the style of a method; a variant of it, such as `ic_repaired`, has its colour and another marker.
 
-    Neighbours among the methods that have words differ in colour and marker.  Of others the name decides.
+    Neighbours among the methods that have words differ in colour and marker. The style of other methods follows from
+    their name.
 
     >>> style_of("interaction_mesh"), style_of("naive_fk")
     (Style(colour='#0072b2', marker='o'), Style(colour='#d55e00', marker='s'))

@@ -280,10 +280,10 @@ def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:
 
 
 def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
-    """Return one verdict over many, however their work was cut and ordered; None where there is none.
+    """Merge verdicts into one, which does not depend on how the work was split and ordered; None if there are none.
 
-    What was compared is compared again over all items.  Of what is left it is the worst level, how many share it and
-    their most frequent reason, and means of figure and baseline over all things: of the figure that the reason is of.
+    Comparisons are made again over all items. Other verdicts give the worst level, how many share it, and their most
+    frequent reason; figure and baseline of that reason are means over all items.
     """
     every = list(verdicts)
     merged = _joined([one for one in every if one.count] or every[:1])

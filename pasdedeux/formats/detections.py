@@ -189,9 +189,8 @@ def arrange(
 ) -> Arranged:
     """Return keypoints in the order of their layout.
 
-    Where the file names them, each goes where its name says, whatever their order; names that the layout lacks are
-    left out, and it is said.  Of numbers alone, their count tells the layout; where it fits several, that which makes
-    people of them.
+    Named keypoints are placed by their names; names that the layout lacks are left out, with a remark. The layout of
+    unnamed keypoints follows from their count; if several fit, it is the one by which they look like people.
 
     Args:
         detections: In any order.
@@ -371,7 +370,7 @@ def names_in_order(names: Iterable[str], *, first: int | None = None) -> tuple[s
 
 
 def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tuple[str, ...]]:
-    """Return a number for each detection, the file's in videos where everybody has one; whether all do; what to say.
+    """Return a number for each detection, whether all numbers are the file's own, and remarks.
 
     People who have names are numbered in the order of these.
     """

@@ -127,9 +127,8 @@ def resolve_up_axes(
 ) -> list[AxisGuess]:
     """Return the up axis of each person's file: as stated, else detected from the standing bodies.
 
-    Whoever clearly stands along the axis along which his rest pose stands too has that axis: his file says so twice.
-    The others have the axis of those who stand most clearly, because one of two who were captured together may lie on
-    the floor all the time.
+    A person who clearly stands along the same axis as the rest pose has that axis. The others have the axis of those
+    who stand most clearly, because one of two people captured together may lie on the floor all the time.
 
     Args:
         sources: The motion of each person.

@@ -59,8 +59,7 @@ def share_alike(tracks: Sequence[Track]) -> float:
 def subtract_motion(tracks: Sequence[Track], motion: CameraMotion | None) -> tuple[list[Track], bool]:
     """Return tracks in the steady image of a camera that moves, and whether its motion was subtracted.
 
-    It is not where the feet then stand still less than before: a camera that goes round people, whose background
-    moves and who do not, is not supported.
+    It is not subtracted if feet then slide more than before: cameras that move around people are not supported.
     """
     if motion is None or not tracks:
         return [*tracks], False

@@ -40,8 +40,8 @@ _CARRYING_M = 0.8
 class LiveFloor:
     """The floor under the people of a video as frames arrive.
 
-    A wrong pitch tilts the floor, so everybody's own feet of late tell it; of people who may carry each other the lower
-    ones do.
+    A wrong pitch tilts the floor, so its height is that of each person's feet in the last frames; for people who may
+    carry each other, that of the lower feet.
     """
 
     def __init__(self, rate_hz: float) -> None:

@@ -25,7 +25,7 @@ _SMOOTHING_S = 0.1
 
 @dataclass(frozen=True)
 class Rising:
-    """How a person's joints move upwards, as one camera tells it.
+    """The upward motion of a person's joints, as one camera sees it.
 
     Args:
         first_s: Time of the first frame by the camera's clock.

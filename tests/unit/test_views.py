@@ -522,6 +522,8 @@ def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.C
     said = capsys.readouterr()
     assert "calibration by name: front is front, side is side; left out: back" in said.err
     assert len(re.findall(r"lens 1400 px .*joints are [01]\.\d px", said.out)) == 2
+    assert run_command_line([*command, "--camera", front]) == 2
+    assert "see the people from one side (0 degrees apart)" in capsys.readouterr().err
     assert run_command_line([*command, "--camera", str(tmp_path / "none")]) == 2
     assert "none" in capsys.readouterr().err
     assert run_command_line([*command, "--camera", side, "--calibration", "/dev/zero"]) == 2

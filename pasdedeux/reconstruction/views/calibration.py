@@ -175,7 +175,7 @@ def calibrate(
             for view, deviation in zip(moved, deviations, strict=True)
         ]
         bones = np.log(np.clip(shares, 0.2, 5.0)) / _BONE_DEVIATION
-        sizes = np.log(body_height_m(OP14, lengths) / statures_m) / size_deviations
+        sizes = np.log(np.maximum(body_height_m(OP14, lengths), _MIN_DEPTH_M) / statures_m) / size_deviations
         known = [KNOWN_DEVIATION if view.lens.is_known else _LENS_DEVIATION for view in views]
         parts = (
             np.concatenate([part.ravel() for part in rays]),

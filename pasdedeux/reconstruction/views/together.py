@@ -45,6 +45,8 @@ of noise, 0.12 to 0.14 with 5 px; 0.10 to 0.16 from cameras 7, 15 and 160 degree
 wrong; 0.08 to 0.21 if one camera shows another duet."""
 _MEAN_OVER_DEVIATION = float(np.sqrt(2.0 / np.pi))
 """Mean size of an error over its standard deviation."""
+_ONE_SIDE_RAD = float(np.deg2rad(4.0))
+"""Cameras that are nearer to each other, as seen from the people, are the same."""
 _STATURES_M = 0.6, 2.6
 """Shortest and tallest people."""
 _GIVEN_PITCH_RAD = 0.01
@@ -133,10 +135,7 @@ class SeenTogether:
                 position_m=first.camera.position_m + view.position_m @ first.camera.camera_from_world_rotmat,
                 image_size_px=(max(round(2.0 * x), 1), max(round(2.0 * y), 1)),
             )
-            away_m, cosine = view.position_m - middle_m, 1.0
-            if away_m.any() and middle_m.any():
-                cosine = -(away_m @ middle_m) / (np.linalg.norm(away_m) * np.linalg.norm(middle_m))
-            angle_rad = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            angle_rad = _angle_rad(self.views[0], view, middle_m)
             cameras.append(
                 SeenBy(name, placed, view.px, rate_hz, first_time_s - view.offset_s, view.offset_s, angle_rad)
             )
@@ -194,6 +193,7 @@ def reconstruct_views(
     times_s = _times(first_seen)
     statures_m = np.array([_stature_m(column, options) for column in zip(*seen, strict=True)])
     views = _first_views(alone, seen, [0.0, *(take.offset_s for take in same)], times_s, calibration)
+    _check_angles(names, views, first_seen)
     is_stated = np.isin(person_ids, list(options.statures_m))
     for _ in range(_NUM_PASSES):
         views = calibrate(views, statures_m, tracks[0].rate_hz, is_stated=is_stated)
@@ -201,6 +201,7 @@ def reconstruct_views(
             replace(view, **_moments(shown, times_s + view.offset_s)._asdict())
             for view, shown in zip(views, seen, strict=True)
         ]
+    _check_angles(names, views, first_seen)
     if calibration:
         _check_sizes(views)
     fitted, off_m = _fit_people(views, first_seen, times_s, tracks[0].rate_hz)
@@ -229,6 +230,28 @@ def reconstruct_views(
             if person.person_id not in take.person_ids
         ),
     )
+
+
+def _angle_rad(first: View, other: View, middle_m: Array) -> float:
+    """Return the angle at a point (3,) between the rays to two cameras; 0 if one of them is there."""
+    a, b = first.position_m - middle_m, other.position_m - middle_m
+    cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12) if a.any() and b.any() else 1.0
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _check_angles(names: Sequence[str], views: Sequence[View], people: Sequence[ReconstructedTrack]) -> None:
+    """Refuse cameras that all see the people (camera axes of the first) from one side.
+
+    Raises:
+        InputError: Says how far apart they are.
+    """
+    middle_m = np.mean(np.concatenate([person.root_m for person in people]), axis=0)
+    most_rad = max(_angle_rad(first, other, middle_m) for first, other in combinations(views, 2))
+    if most_rad < _ONE_SIDE_RAD:
+        raise InputError(
+            f"cameras {', '.join(names)} see the people from one side ({np.rad2deg(most_rad):.0f} degrees apart), so "
+            "that they tell no more than one; name files of different cameras"
+        )
 
 
 def _check_sizes(views: Sequence[View]) -> None:

@@ -13,6 +13,7 @@ from flows.study_files import shipped_studies
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.kinematics import Motion
+from tasks.ingest import IngestParameters
 from tasks.ingest.takes.known_sources import note_fetched, usual_rate_hz
 from tests.builders.own_sources import asf_text, danced_amc, film_duet, write_openpose
 
@@ -41,6 +42,7 @@ FEW: Mapping[str, Any] = {
     "projections.pitches_deg": [0.0, 20.0],
     "projections.num_clusters": 4,
     "augmentation.scales": [0.75, 0.95, 1.05, 1.25],
+    "augmentation.persons": ["A"],
     "training.splits": ["cross_interaction", "extrapolation"],
     "training.seeds": [0],
     "training.*.num_steps": 1,
@@ -57,6 +59,8 @@ FEW: Mapping[str, Any] = {
 }
 """What a study has more of is cut to this, in its sweeps too; `*` is any name, of a list the length counts."""
 _FILM_S = 2.0
+_NUM_DUETS = 5
+"""The first so many lines of duets are kept; what is held out of others is not."""
 
 
 def studies_to_run() -> list[str]:
@@ -67,6 +71,7 @@ def studies_to_run() -> list[str]:
 def cut_short(study: Study) -> list[str]:
     """Return the settings that make a study small: few of everything, and of its files what it names elsewhere."""
     sections = study.resolved()
+    duets = _keep_few_duets(sections["ingest"])
     few = [
         f"{'.'.join(path)}={json.dumps(wanted)}"
         for key, wanted in FEW.items()
@@ -76,7 +81,7 @@ def cut_short(study: Study) -> list[str]:
     ]
     families = sections["ingest"]["pairs"]
     taken = [f"ingest.pairs.{name}.takes={json.dumps(_few_takes(study, one))}" for name, one in families.items()]
-    short = ["ingest.take_seconds=1.0"]
+    short = ["ingest.take_seconds=1.0", *duets]
     return (
         short + few + taken + [f"ingest.pairs.{name}.frames=[1, 60]" for name, one in families.items() if one["frames"]]
     )
@@ -91,6 +96,19 @@ def _values(node: Any, path: Sequence[str]) -> Iterator[tuple[tuple[str, ...], A
     for name, value in items:
         if path[0] in ("*", name):
             yield from (((str(name), *rest), found) for rest, found in _values(value, path[1:]))
+
+
+def _keep_few_duets(ingest: dict[str, Any]) -> list[str]:
+    """Keep the first duets of a study that has many, and of its held out takes those; return the settings."""
+    duets = ingest["duets"] or []
+    if len(duets) <= _NUM_DUETS:
+        return []
+    gone = {take.take_id for take in IngestParameters(duets=duets).resolved_duets()}
+    ingest["duets"] = duets[:_NUM_DUETS]
+    gone -= {take.take_id for take in IngestParameters(duets=ingest["duets"]).resolved_duets()}
+    ingest["held_out"] = [take for take in ingest["held_out"] if take not in gone]
+    lines = (", ".join(f"{key} = {json.dumps(told)}" for key, told in one.items() if told) for one in ingest["duets"])
+    return [f"ingest.duets=[{', '.join(f'{{ {line} }}' for line in lines)}]", f"ingest.held_out={ingest['held_out']}"]
 
 
 def _few_takes(study: Study, family: Mapping[str, Any]) -> list[str]:

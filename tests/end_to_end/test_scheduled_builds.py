@@ -16,11 +16,13 @@ from uuid import uuid4
 import pytest
 from prefect.server.events.schemas.automations import EventTrigger as ServerTrigger
 from prefect.server.events.schemas.events import ReceivedEvent
+from prefect.settings import Settings
 
 from flows.dataset import dataset
 from flows.records import describe_runs
 from flows.schedules import zombies
 from storage_schema import Store, list_datasets
+from tests.builders.real_study import call_in_process
 from tests.builders.toy_runs import ROOT, wait_until
 
 pytestmark = pytest.mark.slow
@@ -187,21 +189,16 @@ def test_only_runs_of_our_deployments_are_marked_as_crashed(flow: str, deploymen
         assert _is_watched(event) is is_watched
 
 
-def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
-    environment |= {"PREFECT_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+def test_a_schedule_without_a_server_and_one_that_is_none_are_refused_with_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    monkeypatch.setattr("prefect.settings.get_current_settings", Settings)
     for more, words in (
         ([], "no Prefect server is set"),
         (["--cron", "0 2 * * *", "--every", "60"], "both schedules; give only one"),
         (["--cron", "61 * * * *"], "--cron '61 * * * *' is no schedule; allowed are minute,"),
     ):
-        found = subprocess.run(
-            [sys.executable, "-m", "flows.console", "deploy", "duets", "--store", str(tmp_path / "store"), *more],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        assert found.returncode == 2
-        assert words in found.stderr
+        found = call_in_process(capsys, "deploy", "duets", "--store", tmp_path / "store", *more)
+        assert found.code == 2
+        assert words in found.err

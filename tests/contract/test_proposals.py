@@ -103,7 +103,7 @@ def sample(propose: Propose, begun: ChainState, *, num_draws: int, thin: int, nu
     chains = []
     for chain in range(num_chains):
         rng = np.random.default_rng([17, chain])
-        state, _ = run_segment(rng, begun, log_target, propose, num_draws=50, thin=thin)
+        state, _ = run_segment(rng, begun, log_target, propose, num_draws=20, thin=thin)
         _, segment = run_segment(rng, state, log_target, propose, num_draws=num_draws, thin=thin)
         chains.append(segment.parameters)
     return np.stack(chains)
@@ -123,7 +123,7 @@ def worst_error(draws: np.ndarray, known: dict[int, tuple[float, float]]) -> flo
 @pytest.mark.parametrize("name", PROPOSALS)
 def test_draws_have_the_moments_of_a_skewed_and_a_truncated_target(name: str) -> None:
     built = proposal(name)
-    draws = sample(built.propose, started(built), num_draws=350, thin=90)
+    draws = sample(built.propose, started(built), num_draws=260, thin=90)
     assert worst_error(draws, {**KNOWN, **KNOWN_BONES}) < NUM_ERRORS
 
 
@@ -131,8 +131,8 @@ def test_steps_as_wide_as_annotations_move_keep_a_skewed_target_and_without_thei
     """Where speeds decide how wide steps are, the ratio decides where draws lie."""
     right = proposal("velocity", root_position_m=0.3, joint_rotation_rad=1e-3)
     errors = [
-        worst_error(sample(propose, started(right), num_draws=300, thin=25), KNOWN)
-        for propose in (right.propose, without_ratio(right))
+        worst_error(sample(propose, started(right), num_draws=num_draws, thin=25), KNOWN)
+        for propose, num_draws in ((right.propose, 220), (without_ratio(right), 150))
     ]
     assert errors[0] < NUM_ERRORS
     assert errors[1] > 2 * NUM_ERRORS

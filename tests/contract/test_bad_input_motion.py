@@ -14,14 +14,14 @@ import pytest
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
 from tests.builders.real_study import call_in_process, refused
-from tests.builders.source_samples import ASF, figure_motion
+from tests.builders.source_samples import figure_motion
 
 STUDY = """
 [study]
 name = "bad"
 
 [ingest]
-takes = [{{ id = "dance", files = ["60_01.bvh", "61_01.bvh"]{options} }}]
+takes = [{ id = "dance", files = ["60_01.bvh", "61_01.bvh"] }]
 """
 Spoil = Callable[[Path], object]
 """What is done to the folder of a study."""
@@ -34,29 +34,12 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "60_01.bvh").write_text(write_bvh(motion))
     facing = place_motion(motion, translation_m=(1.0, 0.0, 0.0), yaw_rad=np.pi)
     (tmp_path / "61_01.bvh").write_text(write_bvh(facing))
-    (tmp_path / "bad.toml").write_text(STUDY.format(options=""))
+    (tmp_path / "bad.toml").write_text(STUDY)
     return tmp_path
 
 
-def written(data: bytes | str) -> Spoil:
-    return lambda folder: (folder / "61_01.bvh").write_bytes(data if isinstance(data, bytes) else data.encode())
-
-
-def replaced(old: str, new: str) -> Spoil:
-    def spoil(folder: Path) -> None:
-        text = (folder / "61_01.bvh").read_text()
-        assert old in text
-        (folder / "61_01.bvh").write_text(text.replace(old, new, 1))
-
-    return spoil
-
-
-def cut(share: float) -> Spoil:
-    def spoil(folder: Path) -> None:
-        data = (folder / "61_01.bvh").read_bytes()
-        (folder / "61_01.bvh").write_bytes(data[: int(share * len(data))])
-
-    return spoil
+def of_nine_frames(folder: Path) -> None:
+    (folder / "61_01.bvh").write_text(write_bvh(figure_motion(num_frames=9, rate_hz=60.0)))
 
 
 def a_folder(folder: Path) -> None:
@@ -75,10 +58,6 @@ def a_bone_of_length_zero(folder: Path) -> None:
     (folder / "61_01.bvh").write_text(text[:offset] + "OFFSET 0 0 0" + text[text.index("\n", offset) :])
 
 
-def told(more: str = "", options: str = "") -> Spoil:
-    return lambda folder: (folder / "bad.toml").write_text(STUDY.format(options=options) + more)
-
-
 def test_the_good_files_are_planned(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call_in_process(capsys, "plan", folder / "bad.toml", "--store", folder / "store").code == 0
 
@@ -88,33 +67,15 @@ def test_the_good_files_are_planned(folder: Path, capsys: pytest.CaptureFixture[
     [
         (lambda folder: (folder / "61_01.bvh").unlink(), ("file FOLDER/61_01.bvh does not exist",)),
         (a_folder, ("FOLDER/61_01.bvh is a folder, and a regular file is needed",)),
-        (cut(0.3), ("61_01.bvh: line ",)),
-        (written(b""), ("61_01.bvh: ",)),
-        (written(bytes(range(256)) * 16), ("61_01.bvh: ",)),
-        (written(ASF), ("61_01.bvh: ", "asf")),
         (without_half_the_last_frame, ("61_01.bvh: line ", " values where 69 are needed")),
-        (replaced("95.000000", "nan"), ("61_01.bvh: line ", ": Yposition of 'pelvis' in frame 0: 'nan' is not")),
         (a_bone_of_length_zero, ("61_01.bvh: ", "'left_hip' to 'left_knee' of 'pair17'")),
         (
-            written(write_bvh(figure_motion(num_frames=9, rate_hz=60.0))),
+            of_nine_frames,
             (
                 "its files have unequal lengths (60_01.bvh 12 and 61_01.bvh 9 frames); ",
                 'set on_unequal = "trim" to keep what both have',
             ),
         ),
-        (
-            written(write_bvh(figure_motion(num_frames=12, rate_hz=50.0))),
-            ("its files have unequal lengths (60_01.bvh 0.20 and 61_01.bvh 0.24 seconds); ",),
-        ),
-        (told(options=", frames = [4, 20]"), ("frames from 4 to 20 are wanted, but 60_01.bvh has 12 frames",)),
-        (
-            replaced("JOINT left_hip", "JOINT hipp"),
-            (
-                "61_01.bvh: its joints fit none of the known layouts (",
-                "; the nearest is body22, which also needs left_hip; joints: pelvis, ",
-            ),
-        ),
-        (told('\n[ingest.mappings.body22.pair17]\nleft_knee = "left_kneee"\n'), ("60_01.bvh: ", "'left_kneee'")),
     ],
 )
 def test_bad_files_are_named_with_their_take_and_what_is_wrong(

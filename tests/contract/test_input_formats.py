@@ -197,9 +197,12 @@ def test_a_mangled_file_is_refused_with_the_place_of_the_fault(name: str, how: s
 @pytest.mark.parametrize("how", ["empty", "binary", "cut off"])
 @pytest.mark.parametrize("name", [name for name, kind in MOTION_FORMATS.items() if kind.companion])
 def test_a_mangled_companion_is_refused(name: str, how: str) -> None:
-    data, companion = GOOD_MOTIONS[name]
+    (data, companion), kind = GOOD_MOTIONS[name], MOTION_FORMATS[name]
+    kind.check_companion(companion)
     with pytest.raises(FormatError):
-        MOTION_FORMATS[name].read_head(data, MANGLED[how](companion))
+        kind.read_head(data, MANGLED[how](companion))
+    with pytest.raises(FormatError):
+        kind.check_companion(MANGLED[how](companion))
 
 
 @pytest.mark.parametrize(

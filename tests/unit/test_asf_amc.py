@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.asf_amc import ASF_AMC, read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.registry import MOTION_FORMATS, recognise_format
+from pasdedeux.formats.registry import recognise_format
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
 from tasks.ingest.takes.resolution import find_companion
-from tests.builders.source_samples import AMC, ASF, GOOD_MOTIONS
+from tests.builders.source_samples import AMC, ASF
 
 UNIT_M = 0.0254 / 0.45
 
@@ -119,16 +119,6 @@ def test_an_amc_without_a_header_is_read_in_the_angles_of_its_skeleton(unit: str
         "it has no header with the unit of its angles: they are in "
         f"{'degrees' if unit == 'deg' else 'radians'}, as the skeleton says",
     )
-
-
-@pytest.mark.parametrize("name", [name for name, kind in MOTION_FORMATS.items() if kind.companion])
-def test_the_file_beside_a_motion_is_checked_by_itself(name: str) -> None:
-    kind = MOTION_FORMATS[name]
-    companion = GOOD_MOTIONS[name][1]
-    kind.check_companion(companion)
-    for spoilt in (companion[: len(companion) // 2], b"", b"<!doctype html>"):
-        with pytest.raises(FormatError):
-            kind.check_companion(spoilt)
 
 
 def test_an_amc_file_states_no_rate() -> None:

@@ -3,7 +3,6 @@ import pytest
 
 from pasdedeux.augmentation import LIMB_GROUPS, VariationSettings, uniform_variations
 from pasdedeux.augmentation.variations import (
-    PAPER_SCALES,
     Variation,
     bone_variations,
     group_variations,
@@ -19,11 +18,6 @@ def test_a_uniform_variation_is_named_after_person_kind_and_scale() -> None:
     assert variation.variant_id == "A-uniform-0.80"
     assert variation.uniform_scale(0) == pytest.approx(0.8)
     assert variation.uniform_scale(1) == 1.0
-
-
-def test_both_people_scale_alike_under_ab() -> None:
-    (variation,) = uniform_variations([1.2], ["AB"])
-    assert np.all(variation.bone_scale == 1.2)
 
 
 def test_letters_name_those_who_are_there_and_each_variation_is_made_once() -> None:
@@ -43,13 +37,6 @@ def test_limb_groups_cover_every_bone_once_and_left_like_right() -> None:
     assert sorted(bones) == sorted(set(BODY22.joint_names) - {"pelvis"})
     for variation in group_variations([0.9]) + bone_variations([0.9]):
         assert np.all(variation.bone_scale[:, list(BODY22.mirror)] == variation.bone_scale)
-
-
-def test_variant_names_are_unique() -> None:
-    variations = uniform_variations(PAPER_SCALES, ["A", "B", "AB"])
-    variations += group_variations(PAPER_SCALES, ["A", "B"]) + bone_variations(PAPER_SCALES, ["A", "B"])
-    names = [variation.variant_id for variation in variations]
-    assert len(set(names)) == len(names)
 
 
 def test_longer_legs_raise_the_root() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,12 @@ def planned(study: Path, store: Path, graph: Graph, *settings: str) -> dict[str,
     }
 
 
+@cache
+def planned_as_it_is(study: Path, store: Path, *settings: str) -> dict[str, list[tuple[str, str, str, str]]]:
+    """Plan in a store in which nothing more is computed."""
+    return planned(study, store, graph(), *settings)
+
+
 def built(study: Path, store: Path, graph: Graph, settings: Sequence[str]) -> tuple[Run, Outcome]:
     chosen, stages = load_study(str(study), graph, settings=settings, environment={})
     return Run(chosen, stages, Store(store)), run_toys(study, store, *settings, graph=graph)
@@ -92,15 +99,9 @@ def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
     assert after.dataset == before.dataset, "a version with the same content is none"
 
     for setting in ("study.title=again", *CHANGES):
-        once, again = (
-            {
-                stage: shards
-                for stage, shards in planned(small.study, where, how, *publishes, setting).items()
-                if stage != name
-            }
-            for where, how in ((once_store, graph()), (store, raised(name)))
-        )
-        assert again == once, f"planned with {setting}"
+        once = planned_as_it_is(small.study, once_store, *publishes, setting)
+        again = planned(small.study, store, raised(name), *publishes, setting)
+        assert again | {name: once.get(name)} == once | {name: once.get(name)}, f"planned with {setting}"
 
     last = read_recorded(Store(store), list_runs(Store(store))[-1].run_id)
     changes = differences(Store(store), read_recorded(Store(store), "small@1"), last)

@@ -9,9 +9,11 @@ from pasdedeux.augmentation import (
     UserContact,
     reference_motion,
     uniform_variations,
+    weights,
 )
 from pasdedeux.augmentation.mesh import build_mesh
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
+from pasdedeux.augmentation.terms import build_problem
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.surfaces import fade
 from pasdedeux.kinematics import bone_lengths
@@ -75,9 +77,9 @@ def test_who_is_held_up_has_no_floor_however_still_and_who_lies_has_it_under_the
     positions = swaying_pair(30)
     source = Source(positions + np.array([[[0.0] * 3], [[0.0, 0.5, 0.0]]]), 30.0)
     assert source.floor_m == pytest.approx(Source(positions, 30.0).floor_m, abs=0.005)
-    for weights in (floor_weights(source), stance_weights(source)):
-        assert not weights[:, 1].any()
-        assert weights[:, 0, FEET].min() > 0.5
+    for weight in (floor_weights(source), stance_weights(source)):
+        assert not weight[:, 1].any()
+        assert weight[:, 0, FEET].min() > 0.5
     lying = positions.copy()
     lying[:, 1] = lying[:, 1] @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T
     lying[:, 1, :, 1] += 0.1 + source.floor_m - lying[:, 1, BODY22.index("spine3"), 1].min()
@@ -139,3 +141,10 @@ def test_bad_sources_are_refused_in_words() -> None:
     far[2] += 1e7
     with pytest.raises(InputError, match="frame 2"):
         Source(far, 30.0)
+
+
+def test_terms_of_time_weigh_alike_at_any_frame_rate_and_as_stated_at_30_frames_a_second() -> None:
+    people = swaying_pair(12)
+    usual, double = (build_problem(Source(people, rate_hz)) for rate_hz in (30.0, 60.0))
+    assert usual.smoothness == weights.SMOOTHNESS
+    assert double.smoothness == pytest.approx(16.0 * weights.SMOOTHNESS)

@@ -82,12 +82,13 @@ def test_the_surface_lies_within_a_centimetre_of_the_capsules(stature_m: float) 
     assert field(outside.reshape(-1, 3), cones).max() < 0.01, "no capsule comes out of the body"
 
 
-def test_the_field_is_the_smooth_union_of_cones_that_meet() -> None:
+@pytest.mark.parametrize("length_m", [0.1, 1.0])
+def test_the_field_is_the_smooth_union_of_cones_that_meet(length_m: float) -> None:
     rng = np.random.default_rng(3)
     num = 6
     is_beside = rng.random((num, num)) < 0.4
     cones = Cones(
-        rng.normal(size=(num, 2, 3)),
+        rng.normal(0.0, length_m, (num, 2, 3)),
         rng.uniform(0.05, 0.3, (num, 2)),
         np.zeros(num, dtype=np.int64),
         is_beside | is_beside.T | np.eye(num, dtype=bool),

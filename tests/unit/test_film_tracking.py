@@ -233,6 +233,9 @@ def corrected_wrist(film: Film, shot: AnnotatedShot, frame: int) -> AnnotatedFra
     place = film.px[frame, 1, WRIST]
     corrected = correct_keypoint(shot, frame, 1, WRIST, place, lambda *at: iter(film.images[slice(*at)]), is_key=True)
     assert len(corrected.doubt) == corrected.frames.num_rows
+    is_missing = corrected.frames.status == KeypointStatus.MISSING
+    np.testing.assert_array_equal(corrected.frames.confidence > 0.0, ~is_missing)
+    np.testing.assert_array_equal(np.isfinite(corrected.frames.keypoints_px).all(axis=-1), ~is_missing)
     return corrected.frames
 
 

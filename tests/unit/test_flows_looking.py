@@ -13,7 +13,7 @@ from flows.console import main
 from flows.console import run as run_module
 from flows.console.context import say
 from flows.console.display import BarListener
-from flows.console.show import joint_lines
+from flows.console.show import _short, joint_lines
 from flows.console.study_new import write_new_study
 from flows.progress import Progress
 from flows.study_files import shipped_studies
@@ -177,3 +177,19 @@ def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
     made = Store(tmp_path / "made")
     facts = made.manifest(ingest.run_shard(take, made)).facts
     assert facts["num_frames"] / facts["rate_hz"] == run_module.PREVIEW_S
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (np.float32(0.5), 0.5),
+        (0.1234567891, 0.123457),
+        (np.float64(-0.1234567891), -0.123457),
+        (7, 7),
+        ("waltz", "waltz"),
+        (np.arange(4) / 3.0, [0.0, 0.3333, 0.6667, 1.0]),
+        (np.zeros((2, 3)), "array[2, 3]"),
+    ],
+)
+def test_values_of_a_row_are_rounded_and_long_arrays_are_their_shapes(value: object, shown: object) -> None:
+    assert _short(value) == shown

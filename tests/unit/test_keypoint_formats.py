@@ -433,3 +433,10 @@ def test_feet_are_given_where_a_layout_has_them(layout: str) -> None:
         np.testing.assert_array_equal(feet.positions[FEET4.index("left_heel")], heel)
         ball = feet.positions[FEET4.index("left_toe")]
         np.testing.assert_allclose(np.linalg.norm(ball - heel) + np.linalg.norm(tip - ball), np.linalg.norm(tip - heel))
+
+
+def test_files_of_another_layout_than_the_study_says_are_refused() -> None:
+    kind, files = ANNOTATION_FORMATS["openpose"], openpose_files(openpose_text("coco18"))
+    assert read_annotations(kind, files, source_id="s", layout="coco18").layout == "coco18"
+    with pytest.raises(InputError, match="body25"):
+        read_annotations(kind, files, source_id="s", layout="body25")

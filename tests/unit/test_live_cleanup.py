@@ -112,3 +112,10 @@ def test_a_leg_bends_as_offline(dancer: np.ndarray) -> None:
             dancer[:1, hip], dancer[:1, knee], dancer[:1, ankle], target[None], fallback=np.array([[0.0, 0.0, 1.0]])
         )
         np.testing.assert_allclose(found[[knee, ankle]], np.concatenate(expected), atol=1e-9)
+
+
+def test_jitter_is_the_mean_length_of_second_differences_over_joints_and_frames() -> None:
+    pull_m = np.random.default_rng(0).normal(size=(14, 3))
+    thrown = 0.5 * np.arange(6.0)[:, None, None] ** 2 * pull_m + np.arange(6.0)[:, None, None]
+    assert jitter_m(thrown) == pytest.approx(np.linalg.norm(pull_m, axis=1).mean())
+    assert jitter_m(thrown[:2]) == 0.0

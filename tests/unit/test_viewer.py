@@ -694,7 +694,9 @@ def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_fram
         editor._is_on.value = True
         editor._begin()
         assert editor._next.visible
+        shown.seek(0)
         editor.next_to_correct()
+        assert shown.frame in shown.shelf.shot(manifest.ref).next_frames(20)
         shown.seek(13)
         wrist = PAIR17.index("left_wrist")
         before = [shown.scene.images(at)[0].points_px.copy() for at in range(20)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.verdict import Level
+from tasks.chains.run import AnnotationEvidence
 
 SEED = standing_pair()
 
@@ -138,3 +141,15 @@ def test_a_seed_that_no_annotation_resembles_is_named_with_its_likelihood() -> N
     chart = PairChart(SEED)
     with pytest.raises(InputError, match="density 0: the likelihood is 0, no view of the bank has an annotation"):
         PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), Nothing())
+
+
+def test_evidence_notes_what_was_skipped_and_what_is_few() -> None:
+    likelihood = cast(Any, None)
+    many = AnnotationEvidence(likelihood, num_annotations=100)
+    assert many.note() == ""
+    assert replace(many, num_skipped=2).note() == (
+        "2 of 102 annotations show too little or have no view, and were skipped"
+    )
+    few = replace(many, num_annotations=1).note()
+    assert few.startswith("1 annotation is fewer than the ")
+    assert "see the pair from one side" in replace(many, view_spread_rad=0.1).note()

@@ -8,6 +8,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -35,6 +37,7 @@ from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.verdict import Level, Verdict
 from storage_schema.tables import TABLES
+from tasks.evaluation import report as report_task
 from tasks.evaluation.report import DatasetCard, card_tables
 from tasks.evaluation.takes import take_scores
 from tests.builders.pages import Page, in_browser
@@ -412,3 +415,10 @@ def test_bars_say_what_the_verdict_says_and_leave_out_what_was_scored_on_other_i
     assert drawn is not None
     assert b">20<" in drawn[0]
     assert b"best path" not in drawn[0]
+
+
+def test_the_card_counts_rows_over_artifacts_and_warns_of_the_tables_that_are_there() -> None:
+    inputs = [SimpleNamespace(tables={"draws": SimpleNamespace(rows=count)}) for count in (3, 4)]
+    topic = SimpleNamespace(cautions=[("draws", "depend on each other"), ("variants", "of a solver")])
+    card = report_task._card(report_task.PageSettings(), [cast(Any, topic)], cast(Any, inputs), SUMMARY)
+    assert (card.rows, card.is_held_out, card.cautions) == ({"draws": 7}, {}, ("depend on each other",))

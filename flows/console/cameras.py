@@ -45,18 +45,18 @@ def sources_of(video: AnnotationOptions | FilmOptions) -> Sequence[FoundAnnotati
 
 
 def camera_names(paths: Sequence[Path]) -> list[str]:
-    """Return what cameras are called: their files, with the folder where these have one name, and a number where both.
+    """Return what cameras are called: their files, with as many folders as tell them apart; a number if none do.
 
-    >>> camera_names([Path("a/pose.json"), Path("b/pose.json")])
-    ['a/pose', 'b/pose']
+    >>> camera_names([Path("a/x/pose.json"), Path("b/x/pose.json")])
+    ['a/x/pose', 'b/x/pose']
     """
     files = [path.resolve() for path in paths]
-    stems = [path.name.removesuffix(path.suffix) for path in files]
-    if len(set(stems)) < len(stems):
-        stems = [f"{path.parent.name}/{stem}" for path, stem in zip(files, stems, strict=True)]
-    if len(set(stems)) < len(stems):
-        stems = [f"{number}: {stem}" for number, stem in enumerate(stems, start=1)]
-    return stems
+    files = [path if path.is_dir() else path.with_suffix("") for path in files]
+    for depth in range(1, max(len(path.parts) for path in files)):
+        names = ["/".join(path.parts[-depth:]) for path in files]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{number}: {path.name}" for number, path in enumerate(files, start=1)]
 
 
 @dataclass(frozen=True)

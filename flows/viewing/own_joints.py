@@ -116,7 +116,12 @@ def _together(skeletons: Sequence[Skeleton], placed: Sequence[Array]) -> People:
     """Return people on all of their skeletons at once; joints that somebody has not are at the own root, unseen."""
     rigs = list(dict.fromkeys(skeletons))
     starts = list(accumulate((rig.num_joints for rig in rigs), initial=0))
-    names = [name + "'" * at for at, rig in enumerate(rigs) for name in rig.joint_names]
+    names: list[str] = []
+    for at, rig in enumerate(rigs):
+        marks = "'" * at
+        while any(name + marks in names for name in rig.joint_names):  # a file's own name has such a mark
+            marks += "'"
+        names += [name + marks for name in rig.joint_names]
     parents = [
         start + parent if parent >= 0 else (rigs[0].root if start else -1)
         for rig, start in zip(rigs, starts, strict=False)

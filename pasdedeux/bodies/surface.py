@@ -124,7 +124,7 @@ def surface_field(points: Array, cones: Array, is_beside: Flags, width: float, f
         is_beside: Which of them blend (cone, cone).
         width: Of the blend, metres.
         far: Points farther from the surface than this may have the value of the point before, if that is as far and on
-            the same side: no value changes by more than the way between two points.
+            the same side: away from blends no value changes by more than the way between two points.
     """
     values, spare = np.empty(len(points)), 0.0
     near, power, active = np.empty(len(cones)), np.empty(len(cones)), np.zeros(len(cones), dtype=np.int64)

@@ -72,24 +72,38 @@ class CalibratedCamera:
         scale = np.array([[across, 0.0, 0.5 * (across - 1.0)], [0.0, down, 0.5 * (down - 1.0)], [0.0, 0.0, 1.0]])
         return replace(self, matrix=scale @ self.matrix, size_px=(float(size_px[0]), float(size_px[1])))
 
+    @property
+    def focal_px(self) -> float:
+        """The focal length of the plain lens: the geometric mean of both."""
+        return float(np.sqrt(self.matrix[0, 0] * self.matrix[1, 1]))
+
+    @property
+    def plain_matrix(self) -> Array:
+        """The lens (3, 3) without distortion or skew, of one focal length, that has its principal point."""
+        return np.array([[self.focal_px, 0.0, self.matrix[0, 2]], [0.0, self.focal_px, self.matrix[1, 2]], [0, 0, 1]])
+
+    @property
+    def _is_plain(self) -> bool:
+        return not self.distortions.any() and np.array_equal(self.matrix, self.plain_matrix)
+
     def undistorted_px(self, px: Array) -> Array:
-        """Return pixels (*batch, 2) as a lens without distortion would have them; NaN stays NaN."""
+        """Return pixels (*batch, 2) as the plain lens would have them; NaN stays NaN."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         flat = np.array(px, dtype=np.float64).reshape(-1, 1, 2)
         is_seen = np.isfinite(flat).all(axis=(1, 2))
-        if self.distortions.any() and is_seen.any():
-            flat[is_seen] = cv2.undistortPoints(flat[is_seen], self.matrix, self.distortions, P=self.matrix)
+        if not self._is_plain and is_seen.any():
+            flat[is_seen] = cv2.undistortPoints(flat[is_seen], self.matrix, self.distortions, P=self.plain_matrix)
         return np.asarray(flat.reshape(np.shape(px)))
 
     def distorted_px(self, px: Array) -> Array:
-        """Return where pixels (*batch, 2) of a lens without distortion are in its images; NaN stays NaN."""
+        """Return where pixels (*batch, 2) of the plain lens are in its images; NaN stays NaN."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         flat = np.array(px, dtype=np.float64).reshape(-1, 2)
         is_seen = np.isfinite(flat).all(axis=1)
-        if self.distortions.any() and is_seen.any():
-            ahead = np.insert(flat[is_seen], 2, 1.0, axis=1) @ np.linalg.inv(self.matrix).T
+        if not self._is_plain and is_seen.any():
+            ahead = np.insert(flat[is_seen], 2, 1.0, axis=1) @ np.linalg.inv(self.plain_matrix).T
             flat[is_seen] = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), self.matrix, self.distortions)[0][:, 0]
         return flat.reshape(np.shape(px))
 
@@ -117,6 +131,8 @@ def read_calibration(data: bytes) -> list[CalibratedCamera]:
         if min(matrix[0, 0], matrix[1, 1]) <= 0:
             raise InputError(f"camera {name} of the calibration: the focal lengths of matrix must be positive")
         size = _numbers(name, table, "size", (2,)).tolist() if "size" in table else None
+        if size and min(size) <= 0:
+            raise InputError(f"camera {name} of the calibration: width and height in size must be positive")
         called, distortions = str(table.get("name", name)), _distortions(name, table)
         cameras.append(CalibratedCamera(called, name, matrix, distortions, rotvec, translation, size and tuple(size)))
     if not cameras:
@@ -131,16 +147,18 @@ def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) ->
     """Return the cameras that files of these names are of, and whether names say so; else they are in one order.
 
     A camera and a file fit if the words of one name, `name` or else the table's, are among those of the other:
-    `int_cam01_img` and `cam1.mp4`.  Of cameras that fit, those count that have most words in common.
+    `int_cam01_img` and `cam1.mp4`.  Words with which all files, or all cameras, begin or end do not count.  Of cameras
+    that fit, those count that have most words in common.
 
     Raises:
         InputError: Names fit in part only, numbers differ and no names fit, or cameras are at one place.
     """
     fits: list[list[CalibratedCamera]] = [[] for _ in names]
     for key in ("name", "table"):
-        words = [_words(getattr(camera, key)) for camera in cameras]
-        if not any(fits):
-            fits = [_fitting(_words(name), cameras, words) for name in names]
+        for split in (_words, _words_without_capitals):
+            words = _telling([split(getattr(camera, key)) for camera in cameras])
+            if not any(fits):
+                fits = [_fitting(file, cameras, words) for file in _telling([split(name) for name in names])]
     called = ", ".join(camera.name for camera in cameras)
     chosen, is_by_name = list(cameras), any(fits)
     if is_by_name:
@@ -164,7 +182,7 @@ def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) ->
             if np.linalg.norm(camera.position_m - other.position_m) < _ONE_PLACE_M:
                 raise InputError(
                     f"cameras {other.name} and {camera.name} of the calibration are at one place: it has lenses, but "
-                    "not where the cameras are"
+                    "not where the cameras are; calibrate their places (extrinsics) as well"
                 )
     return chosen, is_by_name
 
@@ -188,6 +206,29 @@ def _words(name: str) -> tuple[str, ...]:
     return tuple(
         part.lstrip("0") or "0" if part.isdigit() else part.lower() for part in parts if part.lower() not in _NO_NAMES
     )
+
+
+def _words_without_capitals(name: str) -> tuple[str, ...]:
+    """Return words and numbers of a name, where capitals begin no word.
+
+    >>> _words_without_capitals("GoPro1")
+    ('gopro', '1')
+    """
+    return _words(name.lower())
+
+
+def _telling(names: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return names without the words that all begin or end with; as they are where nothing would be left of one.
+
+    >>> _telling([("take", "1", "left"), ("take", "1", "right")])
+    [('left',), ('right',)]
+    """
+    told = list(names)
+    while len(told) > 1 and all(told) and len({name[0] for name in told}) == 1:
+        told = [name[1:] for name in told]
+    while len(told) > 1 and all(told) and len({name[-1] for name in told}) == 1:
+        told = [name[:-1] for name in told]
+    return told if all(told) else list(names)
 
 
 def _is_within(words: Sequence[str], others: Sequence[str]) -> bool:

@@ -42,9 +42,9 @@ def forward_kinematics(
     offsets = np.asarray(rest_offsets_m, dtype=np.float64)
     if offsets.ndim > 2:
         offsets = np.broadcast_to(offsets, (*batch, joints, 3))
-    bones = np.array([(skeleton.parents[joint], joint) for joint in skeleton.order if joint != skeleton.root])
+    bones = [(skeleton.parents[joint], joint) for joint in skeleton.order if joint != skeleton.root]
     positions, world = _carry(
-        bones.reshape(-1, 2),
+        np.array(bones, dtype=np.int64).reshape(-1, 2),
         skeleton.root,
         np.ascontiguousarray(offsets).reshape(-1, joints, 3),
         roots.reshape(-1, 3),

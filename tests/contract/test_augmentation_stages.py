@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from flows.study import load_study
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import forward_kinematics
+from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.learning.model import VariantRequest
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
@@ -115,6 +115,13 @@ def test_everybody_of_any_number_gets_a_row_a_frame(store: Store) -> None:
         assert variants["person"].tolist() == [*range(people)] * FRAMES * count
         assert variants["frame"].tolist() == np.repeat(np.arange(FRAMES), people).tolist() * count
         assert [len(scales) for scales in quality["uniform_scale"]] == [people] * count
+        source = read_take(store, manifest.inputs[0]).source
+        motions = variants["body22_m"].reshape(count, FRAMES, people, 22, 3).astype(float)
+        for motion, scale in zip(motions, quality["bone_scale"], strict=True):
+            wanted = source.lengths_m * scale.reshape(people, 22)
+            wanted[:, BODY22.root] = 0.0
+            lengths = bone_lengths(BODY22, motion)
+            np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-6)
     assert verdict_of(alone).level is Level.PASS
 
 

@@ -3,6 +3,7 @@ import pytest
 
 from pasdedeux.augmentation import LIMB_GROUPS, VariationSettings, uniform_variations
 from pasdedeux.augmentation.variations import (
+    PAPER_SCALES,
     Variation,
     bone_variations,
     group_variations,
@@ -37,6 +38,13 @@ def test_limb_groups_cover_every_bone_once_and_left_like_right() -> None:
     assert sorted(bones) == sorted(set(BODY22.joint_names) - {"pelvis"})
     for variation in group_variations([0.9]) + bone_variations([0.9]):
         assert np.all(variation.bone_scale[:, list(BODY22.mirror)] == variation.bone_scale)
+
+
+def test_variant_names_are_unique() -> None:
+    variations = uniform_variations(PAPER_SCALES, ["A", "B", "AB"])
+    variations += group_variations(PAPER_SCALES, ["A", "B"]) + bone_variations(PAPER_SCALES, ["A", "B"])
+    names = [variation.variant_id for variation in variations]
+    assert len(set(names)) == len(names)
 
 
 def test_longer_legs_raise_the_root() -> None:

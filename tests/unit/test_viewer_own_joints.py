@@ -128,3 +128,18 @@ def test_view_of_an_unknown_rig_begins(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     assert run_command_line(["view", write_bvh(tmp_path / "crane.bvh", ["base", "boom", "hook"])]) == 2
     assert shown == ["poses"]
+
+
+def test_joints_of_two_rigs_keep_names_of_their_own_whatever_marks_they_have(tmp_path: Path) -> None:
+    file = write_bvh(tmp_path / "cranes.bvh", ["base", "base'"], ["base", "mast"])
+    with opened(file) as (_, scene):
+        assert scene.people.skeleton.joint_names[:2] == ("base", "base'")
+        assert len(set(scene.people.skeleton.joint_names)) == scene.people.skeleton.num_joints
+
+
+def test_a_rig_of_one_joint_is_shown_where_it_is(tmp_path: Path) -> None:
+    channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    path, frames = tmp_path / "lamp.bvh", "Frames: 2\nFrame Time: 0.04\n0 100 0 0 0 0\n0 150 0 0 0 0\n"
+    path.write_text(f"HIERARCHY\nROOT lamp {{ OFFSET 0 0 0 {channels} }}\nMOTION\n{frames}", encoding="utf-8")
+    with opened(str(path)) as (_, scene):
+        np.testing.assert_allclose(np.diff(scene.people.positions_m[:, 0, 0], axis=0), [[0.0, 0.5, 0.0]], atol=1e-6)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from flows.console.cameras import camera_names
 from flows.exports.reconstructions import Footage, write_reconstruction
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
@@ -357,7 +358,6 @@ def test_calibrations_of_other_programs_are_read(
         (_POSE2SIM, ("a",), "the calibration has 2 cameras"),
         (_POSE2SIM, ("cam1", "side"), r"fit only some files by their names \(cam1: int_cam01_img; side: none\)"),
         (_POSE2SIM, ("cam1", "cam3"), "fit only some files by their names"),
-        (_POSE2SIM, ("cam1_a", "cam1_b"), "fit only some files by their names"),
         (_ANIPOSE, ("cam", "b"), r"\(cam: none; b: B\)"),
         (
             _FREEMOCAP.replace("[-2100.0, 40.0, 1500.0]", "[0.0, 0.0, 0.0]"),
@@ -369,6 +369,64 @@ def test_calibrations_of_other_programs_are_read(
 def test_calibrations_that_do_not_fit_the_files_are_named(text: str, files: tuple[str, ...], says: str) -> None:
     with pytest.raises(InputError, match=says):
         choose_cameras(read_calibration(text.encode()), files)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "files", "chosen"),
+    [
+        (("GoPro2", "GoPro1"), ("gopro1", "gopro2"), ("GoPro1", "GoPro2")),
+        (("1", "2"), ("2024-05-01_cam2", "2024-05-01_cam1"), ("2", "1")),
+        (("1", "2"), ("take1_left", "take1_right"), None),
+        (("rig2_cam1", "rig2_cam2"), ("cam2", "cam1"), ("rig2_cam2", "rig2_cam1")),
+        (("left", "right", "top"), ("take7 top", "take7 left"), ("top", "left")),
+        (("a", "b"), ("cam1_x", "cam1_y"), None),
+    ],
+)
+def test_words_that_all_names_share_do_not_tell_cameras(
+    cameras: tuple[str, ...], files: tuple[str, ...], chosen: tuple[str, ...] | None
+) -> None:
+    tables = "".join(
+        f"[{name!r}]\nmatrix = [[900.0, 0.0, 320.0], [0.0, 900.0, 240.0], [0.0, 0.0, 1.0]]\n"
+        f"rotation = [0.0, 0.0, 0.0]\ntranslation = [{at}.0, 0.0, 0.0]\n"
+        for at, name in enumerate(cameras)
+    )
+    found, is_by_name = choose_cameras(read_calibration(tables.encode()), files)
+    assert (tuple(camera.name for camera in found), is_by_name) == (chosen or cameras, chosen is not None)
+
+
+@pytest.mark.parametrize("size", ["[0, 0]", "[-1920, -1080]", "[1920]"])
+def test_images_of_no_size_are_refused(size: str) -> None:
+    with pytest.raises(InputError, match="size must"):
+        read_calibration(re.sub(r"size = .*", f"size = {size}", _FREEMOCAP).encode())
+
+
+def test_a_lens_of_two_focal_lengths_is_made_one_of_one_and_back() -> None:
+    camera = replace(
+        read_calibration(_FREEMOCAP.encode())[1], matrix=np.array([[1200.0, 0, 640], [0, 900, 360], [0, 0, 1]])
+    )
+    for lens in (camera, replace(camera, distortions=np.zeros(0))):
+        ray = np.array([[0.3, 0.2, 1.0]])
+        seen = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), lens.matrix, lens.distortions)[0][:, 0]
+        plain = lens.undistorted_px(seen)
+        np.testing.assert_allclose((plain - [640.0, 360.0]) / lens.focal_px, ray[:, :2], atol=1e-4)
+        np.testing.assert_allclose(lens.distorted_px(plain), seen, atol=0.1)
+
+
+def test_people_who_stand_still_have_no_clocks() -> None:
+    still = {0: Rising(0.0, np.zeros((90, 14)), np.ones(90, dtype=bool))}
+    with pytest.raises(InputError, match="nobody moves, so that their clocks cannot be found"):
+        match_cameras(still, still, 30.0)
+
+
+def test_cameras_are_named_by_as_many_folders_as_tell_them_apart(tmp_path: Path) -> None:
+    (tmp_path / "cam.1").mkdir()
+    (tmp_path / "cam.2").mkdir()
+    assert camera_names([tmp_path / "cam.1", tmp_path / "cam.2"]) == ["cam.1", "cam.2"]
+    assert camera_names([tmp_path / "2" / "x" / "pose.json", tmp_path / "1" / "x" / "pose.json"]) == [
+        "2/x/pose",
+        "1/x/pose",
+    ]
+    assert camera_names([tmp_path / "pose.json"] * 2) == ["1: pose", "2: pose"]
 
 
 def test_calibrations_are_of_images_of_any_size_but_one_shape() -> None:

@@ -123,7 +123,7 @@ class SeenTogether:
         """The cameras in the frame of the motions, the first one first."""
         first, people = seen_alone(self.people, self.names[0]), self.people.methods[-1].people
         middle_m = np.mean(np.concatenate([person.root_m for person in people]), axis=0)
-        cameras = []
+        cameras = list[SeenBy]()
         for name, view, rate_hz, first_time_s in zip(
             self.names, self.views, self.rates_hz, self.first_times_s, strict=True
         ):
@@ -135,7 +135,7 @@ class SeenTogether:
                 position_m=first.camera.position_m + view.position_m @ first.camera.camera_from_world_rotmat,
                 image_size_px=(max(round(2.0 * x), 1), max(round(2.0 * y), 1)),
             )
-            angle_rad = _angle_rad(self.views[0], view, middle_m)
+            angle_rad = _angle_rad(self.views[0], view, middle_m) if cameras else 0.0
             cameras.append(
                 SeenBy(name, placed, view.px, rate_hz, first_time_s - view.offset_s, view.offset_s, angle_rad)
             )
@@ -330,8 +330,7 @@ def _fit_people(
 
 def _calibrated(track: Track, camera: CalibratedCamera) -> Track:
     """Return a track as a camera without distortion sees it."""
-    focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
-    lens = Lens(focal_px, (float(camera.matrix[0, 2]), float(camera.matrix[1, 2])), is_known=True)
+    lens = Lens(camera.focal_px, (float(camera.matrix[0, 2]), float(camera.matrix[1, 2])), is_known=True)
     return replace(track, keypoints_px=camera.undistorted_px(track.keypoints_px), lens=lens)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -438,5 +439,7 @@ def test_feet_are_given_where_a_layout_has_them(layout: str) -> None:
 def test_files_of_another_layout_than_the_study_says_are_refused() -> None:
     kind, files = ANNOTATION_FORMATS["openpose"], openpose_files(openpose_text("coco18"))
     assert read_annotations(kind, files, source_id="s", layout="coco18").layout == "coco18"
+    own = replace(KEYPOINT_LAYOUTS["coco18"], name="mine")  # its joints are put in our own order
+    assert read_annotations(kind, files, source_id="s", layout=own).layout == "pair17"
     with pytest.raises(InputError, match="body25"):
         read_annotations(kind, files, source_id="s", layout="body25")

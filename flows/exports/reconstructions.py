@@ -18,6 +18,7 @@ from pasdedeux.evaluation.motion_players import seen_player
 from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.evaluation.pictures import shown_frames as thinned_frames
 from pasdedeux.film.drawing import blur_faces, draw_people, moving_svg
+from pasdedeux.film.tracking import Image
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.formats.camera_motion import CameraMotion
@@ -136,10 +137,14 @@ def write_reconstruction(
     pictures = [Picture(f"{sequence.sequence_id}{PLAYER}", caption, seen_player(placed_m, cameras, rate_hz=rate_hz))]
     told = [seen.in_words(placed_m) for seen in cameras] if len(cameras) > 1 else []
     said = [f"{words[0].upper()}{words[1:]}." for words in told]
-    said += [shot.motion.in_words() for shot in footage if shot.motion is not None]
     for seen, shot in zip(cameras, footage, strict=True):
+        if shot.motion is not None:
+            said.append(shot.motion.in_words() if not told else f"Camera {seen.name}: {shot.motion.in_words()}.")
         if shot.film is not None and shot.film.parameters.is_constant_rate:
-            pictures.append(_over_film(people, placed_m, seen, shot, shot.film))
+            images, shown_hz = _over_film(people, placed_m, seen, shot, shot.film)
+            name = f"camera {seen.name}" if told else shot.film.parameters.id
+            caption = f"{name}: the reconstruction over the film; faces are blurred."
+            pictures += [Picture(f"{name}-film.svg", caption, moving_svg(images, shown_hz))] if images else []
     write_text(page, player_page(sequence.sequence_id, pictures, said))
     return WrittenReconstruction(rows, decisions, page)
 
@@ -165,8 +170,13 @@ def _glb(people: ReconstructedPeople, cameras: Sequence[SeenBy]) -> bytes:
     return write_glb(figures, copyright_text="", facts=facts, cameras=seen_by)
 
 
-def _over_film(people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot: Footage, film: FoundFilm) -> Picture:
-    """Show the reconstruction over the images of a film of it, from the middle of it, faces blurred."""
+def _over_film(
+    people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot: Footage, film: FoundFilm
+) -> tuple[list[Image], float]:
+    """Draw the reconstruction over images of a film, from the middle of what both have, faces blurred; and their rate.
+
+    No images where the film ends before the reconstruction begins, or begins after its end.
+    """
     tracks, first = people.methods[-1].people, film.parameters.first_number + film.parameters.first_frame
     times_s = (
         tracks[0].track.first_time_s + (shown_frames(people) - tracks[0].track.first_frame) / tracks[0].track.rate_hz
@@ -175,7 +185,10 @@ def _over_film(people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot:
         np.ceil((times_s[0] - seen.first_time_s) * seen.rate_hz - 1e-6),
         np.floor((times_s[-1] - seen.first_time_s) * seen.rate_hz + 1e-6),
     )
-    numbers = np.arange(int(ends[0]), int(ends[1]) + 1)
+    last = first + film.parameters.num_frames - 1
+    numbers = np.arange(max(int(ends[0]), first), min(int(ends[1]), last) + 1)
+    if not len(numbers):
+        return [], seen.rate_hz
     flat = placed_m.reshape(len(times_s), -1)
     moments_s = seen.first_time_s + numbers / seen.rate_hz
     moved_m = np.stack([np.interp(moments_s, times_s, values) for values in flat.T], axis=-1)
@@ -199,9 +212,7 @@ def _over_film(people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot:
             drawn = draw_people(blur_faces(image.image, annotated, number), drawn_over, number)
             size = [max(1, round(side * min(1.0, _FILM_PX / max(drawn.shape[:2])))) for side in drawn.shape[1::-1]]
             images.append(np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))
-    name = film.parameters.id
-    caption = f"{name}: the reconstruction, seen by its camera, over the film; faces are blurred."
-    return Picture(f"{name}-film.svg", caption, moving_svg(images, shown_hz))
+    return images, shown_hz
 
 
 def _in_words(verdict: Verdict) -> str:

@@ -19,6 +19,7 @@ from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.formats.calibration import choose_cameras, read_calibration
+from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotvec_from_unitquat, unitquat_from_rotmat
@@ -34,8 +35,8 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level
 from tasks.ingest.film.parameters import FilmOptions
-from tasks.ingest.film.run import find_videos
-from tests.builders.cameras_of_a_take import Seen, database_of_duets, duet_m, errors_m, see
+from tasks.ingest.film.run import FoundFilm, find_videos
+from tests.builders.cameras_of_a_take import SIZE_PX, Seen, database_of_duets, duet_m, errors_m, see
 from tests.builders.pages import Page
 from tests.builders.rendered_film import write_film
 from tests.builders.walkers_on_video import build_store, camera_of, reference, write_walkers
@@ -478,30 +479,44 @@ def test_bad_calibrations_are_named(text: str, says: str) -> None:
         read_calibration(text.encode())
 
 
+def write_side(folder: Path, seen: Seen, num_frames: int) -> FoundFilm:
+    """Write the first frames of a camera as grey film with detections."""
+    film = write_film(folder / "side.avi", [np.full((540, 960, 3), 90, dtype=np.uint8)] * num_frames)
+    lines = [
+        f"{frame},{track.person_id},{name},{x},{y}"
+        for track in seen.tracks
+        for frame, points in enumerate(track.keypoints_px[:num_frames])
+        for name, (x, y) in zip(OP14.joint_names, points, strict=True)
+    ]
+    head = ("# layout: op14", "# image_size: 960x540", "# rate_hz: 30", "frame,person,joint,x,y")
+    (folder / "side.csv").write_text("\n".join([*head, *lines]))
+    (found,) = find_videos(FilmOptions(id="side", path=film, detections=folder / "side.csv"))
+    return found
+
+
+def page_with(together: SeenTogether, found: FoundFilm, out: Path, *, later_s: float = 0.0) -> Page:
+    """Return the page of a take with the film of the second camera, as if that had begun so much later."""
+    first, second = together.cameras
+    motion = CameraMotion(0, np.eye(3)[None], SIZE_PX)
+    written = write_reconstruction(
+        Reconstruction(together.people, together.judged),
+        found.resolve().sequences[0],
+        out,
+        units="cm",
+        footage=[Footage(), Footage(motion, film=found)],
+        cameras=[first, replace(second, first_time_s=second.first_time_s + later_s)],
+    )
+    return Page(written.page.read_text())
+
+
 def test_the_page_shows_the_film_of_a_camera_with_another_clock(
     together: SeenTogether, seen: list[Seen], tmp_path: Path
 ) -> None:
     """The film has the first 24 frames of the second camera."""
-    film = write_film(tmp_path / "side.avi", [np.full((540, 960, 3), 90, dtype=np.uint8)] * 24)
-    lines = [
-        f"{frame},{track.person_id},{name},{x},{y}"
-        for track in seen[1].tracks
-        for frame, points in enumerate(track.keypoints_px[:24])
-        for name, (x, y) in zip(OP14.joint_names, points, strict=True)
-    ]
-    head = ("# layout: op14", "# image_size: 960x540", "# rate_hz: 30", "frame,person,joint,x,y")
-    (tmp_path / "side.csv").write_text("\n".join([*head, *lines]))
-    (found,) = find_videos(FilmOptions(id="side", path=film, detections=tmp_path / "side.csv"))
-    written = write_reconstruction(
-        Reconstruction(together.people, together.judged),
-        found.resolve().sequences[0],
-        tmp_path / "out",
-        units="cm",
-        footage=[Footage(), Footage(film=found)],
-        cameras=together.cameras,
-    )
-    page = Page(written.page.read_text())
+    page = page_with(together, write_side(tmp_path, seen[1], 24), tmp_path / "out")
     assert (page.problems, page.outside, page.unnamed) == ([], [], [])
+    assert "camera 2: the reconstruction over the film; faces are blurred." in page.text
+    assert "Camera 2: the camera moves: " in page.text
     views = [panel.get("view") for panel in page.scenes[0]["panels"]]
     assert [view and view[0] for view in views] == ["1", "2", None]
     assert np.rad2deg(abs(views[0][1] - views[1][1])) == pytest.approx(80.0, abs=4.0)
@@ -516,6 +531,18 @@ def test_the_page_shows_the_film_of_a_camera_with_another_clock(
     np.testing.assert_allclose(
         [drawn.min(axis=0), drawn.max(axis=0)], [true_px.min(axis=0), true_px.max(axis=0)], atol=20
     )
+
+
+def test_the_film_on_the_page_is_the_middle_of_what_it_has_of_the_take(
+    together: SeenTogether, seen: list[Seen], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A film of 20 of 60 frames has none of the half second in the middle of all 60."""
+    monkeypatch.setattr("pasdedeux.evaluation.pictures._MAX_S", 0.5)
+    found = write_side(tmp_path, seen[1], 20)
+    (svg,) = page_with(together, found, tmp_path / "out").figures
+    assert svg.count(b"base64,") == 8
+    for later_s in (-10.0, 10.0):
+        assert page_with(together, found, tmp_path / "out", later_s=later_s).figures == []
 
 
 def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_shows(

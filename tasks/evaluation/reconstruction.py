@@ -67,12 +67,15 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     for motions in inputs.of("motions"):
         if not motions.tables["motions"].rows:
             continue
+        shown, names = MotionFacts.of(motions).sequence_takes, set(MotionFacts.of(motions).sequence_ids)
         annotations = [
+            # Of a take that several cameras saw, that of the first: the motion is in its frames and axes.
             m
             for m in inputs.of("annotations")
-            if m.ref in motions.inputs and (SequenceFacts.of(m).is_virtual or SequenceFacts.of(m).takes)
+            if m.ref in motions.inputs
+            and names & set(SequenceFacts.of(m).sequence_ids)
+            and (SequenceFacts.of(m).is_virtual or SequenceFacts.of(m).takes)
         ]
-        shown = MotionFacts.of(motions).sequence_takes
         takes = [m for m in inputs.of("poses") if TakeFacts.of(m).take_id in shown]
         shards.append(TOPIC.shard(inputs, motions.partition, motions=[motions], annotations=annotations, takes=takes))
     return shards

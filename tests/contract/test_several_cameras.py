@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from pasdedeux.formats.npz import read_npz
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
 from tasks import projections, reconstruction
+from tasks.evaluation.reconstruction import TOPIC
 from tasks.ingest.parameters import IngestParameters
 from tasks.reconstruction import ReconstructionParameters
-from tasks.stage import StageInputs
+from tasks.stage import Parameters, StageInputs
 from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, Seen, duet_m, see
 from tests.builders.ingest_runs import planned, run
 
@@ -76,6 +78,10 @@ def test_two_sources_of_a_take_become_one_motion(tmp_path: Path) -> None:
     assert sorted(manifest.attachments) == ["front_0.bvh", "front_0.npz", "front_1.bvh", "front_1.npz"]
     motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
     assert motion["cameras_name"].tolist() == ["front", "side"]
+    # Evaluation reads the camera whose frames the motion has, whatever the order of the sources.
+    shown = [replace(one, facts={**one.facts, "takes": ["waltz"]}) for one in annotations[::-1]]
+    (scored,) = TOPIC.plan(StageInputs({"annotations": shown, "motions": [manifest]}, seed=0), Parameters())
+    assert [store.manifest(ref).partition for ref in scored.refs("annotations")] == ["front"]
 
 
 def test_a_camera_of_another_take_is_said_and_nothing_is_made(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.humanoid import write_npz
-from pasdedeux.people.video import why_no_video
+from pasdedeux.people.video import check_one_video, why_no_video
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.matching import Method
 from pasdedeux.reconstruction.moving_camera import subtract_motion
@@ -81,7 +81,10 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
         if first := SequenceFacts.of(manifest).camera_of:
             others.setdefault(first, []).append(manifest)
     if unknown := sorted(others.keys() - {manifest.partition for manifest in annotations}):
-        raise InputError(f"'{unknown[0]}', which camera_of names, is not one video")
+        raise InputError(f"'{unknown[0]}', which camera_of names, has no 2D poses under this name")
+    for manifest in annotations:
+        if SequenceFacts.of(manifest).camera_of or manifest.partition in others:
+            check_one_video(f"camera {manifest.partition}", SequenceFacts.of(manifest).sequence_ids)
     for manifest in annotations:
         facts = SequenceFacts.of(manifest)
         if facts.camera_of or not _is_wanted(manifest, parameters.sequences):
@@ -212,15 +215,13 @@ def _reconstruct_together(
     """Return the people of a take that others saw beside the camera that has these tracks.
 
     Raises:
-        InputError: A camera has no video, or as `reconstruct_views`.
+        InputError: A camera shows nobody, or as `reconstruct_views`.
     """
     seen, names = [tracks], [parameters.sequence_id]
     for ref in others:
         names.append(store.manifest(ref).partition)
-        sequence_ids = SequenceFacts.of(store.manifest(ref)).sequence_ids
-        if len(sequence_ids) != 1:
-            raise InputError(f"camera {names[-1]}: one video is needed, found {', '.join(sequence_ids) or 'none'}")
-        of_other, reasons = read_tracks(store, ref, sequence_ids[0])
+        (sequence_id,) = SequenceFacts.of(store.manifest(ref)).sequence_ids
+        of_other, reasons = read_tracks(store, ref, sequence_id)
         if not of_other:
             raise InputError(f"camera {names[-1]}: {next(iter(reasons), 'it shows nobody')}")
         seen.append(of_other)

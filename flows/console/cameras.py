@@ -14,6 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera, choose_cameras, read_calibration
 from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
+from pasdedeux.people.video import check_one_video
 from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.tracks import Track, tracks_of
 from tasks.ingest.film.detector_files import fetched_detectors
@@ -74,23 +75,29 @@ class OtherCamera:
     size_px: tuple[float, float] | None
 
 
-def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> OtherCamera:
+def find_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> FoundAnnotations:
+    """Find another camera of a take, which `read_camera` reads.
+
+    Raises:
+        InputError: It cannot be found, or is not one video.
+    """
+    sources = sources_of(find_video(path, settings, detect=detect if is_film(path) else None))
+    check_one_video(f"--camera {path}", [source.parameters.id for source in sources])
+    return sources[0]
+
+
+def read_camera(name: str, source: FoundAnnotations) -> OtherCamera:
     """Return another camera of a take.
 
     Raises:
         InputError: It cannot be read, or is not one video.
     """
-    sequences = []
-    for source in sources_of(find_video(path, settings, detect=detect if is_film(path) else None)):
-        resolved = source.resolve()
-        sequences += [(source, resolved, sequence) for sequence in resolved.sequences]
-    if len(sequences) != 1:
-        names = ", ".join(sequence.sequence_id for *_, sequence in sequences) or "none"
-        raise InputError(f"--camera {path}: one video of the take is needed, found {names}")
-    ((source, resolved, sequence),) = sequences
+    resolved = source.resolve()
+    check_one_video(f"camera {name}", [sequence.sequence_id for sequence in resolved.sequences])
+    (sequence,) = resolved.sequences
     tracks, motion = steady_tracks(resolved, sequence)
     if not tracks:
-        raise InputError(f"--camera {path}: no frame shows enough joints of a person")
+        raise InputError(f"camera {name}: no frame shows enough joints of a person")
     footage = Footage(motion, source if isinstance(source, FoundFilm) else None)
     return OtherCamera(tracks, footage, image_size_px(resolved, sequence))
 
@@ -98,6 +105,11 @@ def read_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | Non
 def image_size_px(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[float, float] | None:
     """Return width and height of the images of a sequence, if they are known."""
     return resolved.frames.image_size_px.get(sequence.sequence_id)
+
+
+def film_size_px(source: FoundAnnotations) -> tuple[int, int] | None:
+    """Return width and height of the images of a film before it is read; None for 2D poses."""
+    return source.parameters.video_size_px if isinstance(source, FoundFilm) else None
 
 
 def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[list[Track], CameraMotion | None]:
@@ -138,3 +150,26 @@ def find_calibration(path: Path | None, names: Sequence[str]) -> list[Calibrated
         err=True,
     )
     return chosen
+
+
+def fit_calibration(
+    calibration: Sequence[CalibratedCamera],
+    names: Sequence[str],
+    sizes_px: Sequence[tuple[float, float] | None],
+    path: Path | None,
+) -> list[CalibratedCamera]:
+    """Return the calibrations, of a file, for cameras with these names and images; none if it is not given.
+
+    Raises:
+        InputError: Images have another shape than those of the calibration.
+    """
+    fitting = []
+    for camera, name, size_px in zip(calibration, names, sizes_px, strict=False):
+        try:
+            fitting.append(camera.for_images(size_px))
+        except InputError as error:
+            raise InputError(
+                f"--calibration {path}: video {name}: {error}; name the camera's video as it was recorded, neither "
+                "turned nor cropped, or calibrate with images like its own"
+            ) from None
+    return fitting

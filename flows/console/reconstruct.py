@@ -12,10 +12,12 @@ from typer import Argument, Option
 
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
 from flows.console.cameras import (
-    OtherCamera,
     camera_names,
+    film_size_px,
     find_calibration,
+    find_camera,
     find_video,
+    fit_calibration,
     image_size_px,
     read_camera,
     sources_of,
@@ -29,6 +31,7 @@ from flows.exports.reconstructions import Footage, write_reconstruction
 from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
+from pasdedeux.people.video import check_one_video
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import SequenceOptions
 from pasdedeux.reconstruction.sequence import Reconstruction, StatedCamera, reconstruct_sequence
@@ -119,15 +122,16 @@ def reconstruct(
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
     names = camera_names([path, *(camera or ())])
-    others = [read_camera(other, settings or (), detect) for other in camera or ()]
+    calibrated = find_calibration(calibration, names)
     _reconstruct_video(
         video,
         database,
         store,
         out or Path(),
-        others=others,
+        found_others=[find_camera(other, settings or (), detect) for other in camera or ()],
         names=names,
-        calibration=find_calibration(calibration, names),
+        calibration=calibrated,
+        calibration_file=calibration,
         units=units,
         pitch_deg=pitch,
         camera_height_m=height,
@@ -143,9 +147,10 @@ def _reconstruct_video(
     store: Path,
     out: Path,
     *,
-    others: Sequence[OtherCamera],
+    found_others: Sequence[FoundAnnotations],
     names: Sequence[str],
     calibration: Sequence[CalibratedCamera],
+    calibration_file: Path | None,
     units: str,
     pitch_deg: float | None,
     camera_height_m: float | None,
@@ -155,13 +160,19 @@ def _reconstruct_video(
 ) -> None:
     """Reconstruct every sequence of 2D poses, read as a study reads them, and write its files.
 
+    What costs little is checked before any film is read: a detector may need minutes for it.
+
     Raises:
         InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
             or nobody who can be reconstructed.
     """
     named_m = dict(video.statures_m) | read_statures(statures, [])
     videos = sources_of(video)
+    if found_others:
+        check_one_video(f"camera {names[0]}", [source.parameters.id for source in videos])
+        fit_calibration(calibration, names, [film_size_px(one) for one in (*videos, *found_others)], calibration_file)
     searched = find_database(database, store, with_pairs=True)
+    others = [read_camera(name, source) for name, source in zip(names[1:], found_others, strict=True)]
     camera = StatedCamera(
         None if pitch_deg is None else math.radians(pitch_deg), camera_height_m or video.camera_height_m
     )
@@ -183,7 +194,7 @@ def _reconstruct_video(
         footage, cameras = [Footage(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
         if others:
             sizes = [image_size_px(resolved, sequence), *(other.size_px for other in others)]
-            calibrated = [given.for_images(size) for given, size in zip(calibration, sizes, strict=False)]
+            calibrated = fit_calibration(calibration, names, sizes, calibration_file)
             together = reconstruct_views(
                 [tracks, *(other.tracks for other in others)],
                 searched,
@@ -229,8 +240,8 @@ def _reconstruct_video(
                 failed.append(error)
                 continue
             known |= set(resolved.frames.person_id.tolist())
-            if others and len(resolved.sequences) != 1:
-                raise InputError(f"{len(resolved.sequences)} videos are in it; with --camera, name one of each camera")
+            if others:
+                check_one_video(f"camera {names[0]}", [sequence.sequence_id for sequence in resolved.sequences])
             for sequence in resolved.sequences:
                 try:
                     listener.note(f"{sequence.sequence_id}: looking for poses, camera and sizes")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
@@ -21,6 +23,19 @@ _MAX_STEP = 0.15
 to 0.13 in frames half a second apart; of photos of a couple in nearly the same place 0.17, of others over 0.2."""
 _MAX_STEPS = 2000
 """Steps that are looked at."""
+
+
+def check_one_video(camera: str, names: Sequence[str]) -> None:
+    """Refuse a camera of a take that has not one video (these): the shots of a film, or several cameras.
+
+    Raises:
+        InputError: Says what to do.
+    """
+    if len(names) != 1:
+        raise InputError(
+            f"{camera}: one video of the take is needed, found {', '.join(names) or 'none'}; name one file of one "
+            "camera, and of a film with cuts cut the take out, or set has_cuts = false if these are no cuts"
+        )
 
 
 def why_no_video(frame: Integers) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pasdedeux.errors import InputError
+from pasdedeux.people.video import check_one_video
 from tasks.ingest.common import INGEST
 from tasks.ingest.film.run import find_videos
 from tasks.ingest.parameters import IngestParameters, SkippedParameters
@@ -27,6 +28,7 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
     for take in takes:
         shards.append(take)
         shards.extend(plan_virtual_video(inputs, parameters, take))
+    found_of: dict[str, list[str]] = {}
     for options in parameters.annotations:
         waiting: dict[str, str] | None = {} if options.is_watched else None
         for found in find_annotations(
@@ -36,6 +38,7 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
             take_seconds=parameters.take_seconds,
         ):
             planned, files, notes = found.parameters, found.files, found.notes
+            found_of.setdefault(options.id, []).append(planned.id)
             shards.append(INGEST.shard(inputs, planned.id, "annotations", planned, files=files, notes=notes))
         if waiting:
             shards.append(INGEST.shard(inputs, options.id, "skipped", SkippedParameters(skipped=waiting)))
@@ -43,5 +46,9 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         is_held_out = film.take_id in parameters.held_out
         for shot in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
             planned, files, notes = shot.parameters, shot.files, shot.notes
+            found_of.setdefault(film.id, []).append(planned.id)
             shards.append(INGEST.shard(inputs, planned.id, "film", planned, files=files, notes=notes))
+    for source in (*parameters.annotations, *parameters.videos):
+        for name in (source.id, source.camera_of) if source.camera_of else ():
+            check_one_video(f"camera {name}", found_of.get(name, []))
     return shards

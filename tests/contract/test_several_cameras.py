@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from pasdedeux.errors import InputError
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
@@ -19,6 +20,7 @@ from tasks.reconstruction import ReconstructionParameters
 from tasks.stage import Parameters, StageInputs
 from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, Seen, duet_m, see
 from tests.builders.ingest_runs import planned, run
+from tests.builders.rendered_film import write_film
 
 
 def write_camera(path: Path, seen: Seen) -> str:
@@ -104,3 +106,18 @@ def test_a_camera_of_no_source_is_refused() -> None:
     chained = [*sources[:1], {**sources[1], "camera_of": "front"}, {"id": "c", "path": "c.csv", "camera_of": "side"}]
     with pytest.raises(ValidationError, match="found 'side'; there are: front"):
         IngestParameters.model_validate({"annotations": chained})
+
+
+def test_a_camera_is_one_video(tmp_path: Path) -> None:
+    seen = see(duet_m("waltz"), (20.0, 100.0))
+    paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]
+    cut = [np.full((540, 960, 3), grey, dtype=np.uint8) for grey in (20, 230) for _ in range(30)]
+    film = {"path": str(write_film(tmp_path / "film.avi", cut)), "detections": paths[0]}
+    for first, other in (("film", "poses"), ("poses", "film")):
+        sources = {"poses": {"id": "poses", "path": paths[1]}, "film": {"id": "film", **film}}
+        sources[other]["camera_of"] = first
+        section = {"duets": [], "annotations": [sources["poses"]]}
+        with pytest.raises(InputError, match=r"camera film: one video .* found film\.shot00, film\.shot01; .*has_cuts"):
+            planned(**section, videos=[sources["film"]])
+        shards = planned(**section, videos=[{**sources["film"], "has_cuts": False}])
+        assert [shard.partition for shard in shards] == ["poses", "film"]

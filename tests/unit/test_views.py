@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import cv2
 import numpy as np
@@ -36,6 +37,7 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import FoundFilm, find_videos
+from tasks.ingest.poses2d.resolution import FoundAnnotations
 from tests.builders.cameras_of_a_take import SIZE_PX, Seen, database_of_duets, duet_m, errors_m, see
 from tests.builders.pages import Page
 from tests.builders.rendered_film import write_film
@@ -569,7 +571,39 @@ def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_sh
     assert len(list(out.glob("*.bvh"))) == 1
     assert "was skipped: no other camera shows this person" in said.err
     assert run_command_line([*command[:1], str(tmp_path / "side.csv"), *command[2:], "--camera", str(front)]) == 0
-    assert re.search(r"camera front: person \d is nobody whom camera side shows", capsys.readouterr().err)
+    assert re.search(
+        r"camera front: person \d was left out: none of those reconstructed of camera side", capsys.readouterr().err
+    )
+
+
+def test_several_cameras_are_checked_before_any_is_read(
+    seen: list[Seen], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A film that a detector has to see takes minutes."""
+
+    def resolve(source: FoundAnnotations) -> NoReturn:
+        raise AssertionError(f"{source.parameters.id} was read")
+
+    found = write_side(tmp_path, seen[1], 20)
+    film, calibration, poses = str(tmp_path / "side.avi"), tmp_path / "calib.toml", str(tmp_path / "side.csv")
+    take = ["reconstruct", film, "--detections", poses, "--camera", poses]
+    calibration.write_text(calibrated(seen[0].camera) + "[one")
+    monkeypatch.setattr(type(found), "resolve", resolve)
+    assert run_command_line([*take[:-1], str(tmp_path / "none"), "--calibration", str(calibration)]) == 2
+    assert f"--calibration {calibration}: the calibration is no TOML" in capsys.readouterr().err
+    far = replace(seen[1].camera, image_size_px=(540, 960))
+    calibration.write_text(calibrated(far, "one") + calibrated(seen[0].camera, "two"))
+    assert run_command_line([*take, "--calibration", str(calibration)]) == 2
+    said = capsys.readouterr().err
+    assert f"--calibration {calibration}: video " in said
+    assert "those that are given are 960 x 540; name the camera's video as it was recorded" in said
+    cut = [np.full((540, 960, 3), grey, dtype=np.uint8) for grey in (20, 230) for _ in range(10)]
+    write_film(tmp_path / "side.avi", cut)
+    assert run_command_line(take) == 2
+    assert (
+        "one video of the take is needed, found side.shot00, side.shot01; name one file of one camera, and of a film "
+        "with cuts cut the take out, or set has_cuts = false" in capsys.readouterr().err
+    )
 
 
 _PLACES = {"side": 1.6, "front": 0.3, "back": 3.0}

@@ -142,9 +142,9 @@ def write_reconstruction(
             said.append(shot.motion.in_words() if not told else f"Camera {seen.name}: {shot.motion.in_words()}.")
         if shot.film is not None and shot.film.parameters.is_constant_rate:
             images, shown_hz = _over_film(people, placed_m, seen, shot, shot.film)
-            name = f"camera {seen.name}" if told else shot.film.parameters.id
-            caption = f"{name}: the reconstruction over the film; faces are blurred."
-            pictures += [Picture(f"{name}-film.svg", caption, moving_svg(images, shown_hz))] if images else []
+            whose = f"camera {seen.name}" if told else shot.film.parameters.id
+            caption = f"{whose}: the reconstruction over the film; faces are blurred."
+            pictures += [Picture(f"{whose}-film.svg", caption, moving_svg(images, shown_hz))] if images else []
     write_text(page, player_page(sequence.sequence_id, pictures, said))
     return WrittenReconstruction(rows, decisions, page)
 

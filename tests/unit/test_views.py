@@ -572,7 +572,7 @@ def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_sh
     assert "was skipped: no other camera shows this person" in said.err
     assert run_command_line([*command[:1], str(tmp_path / "side.csv"), *command[2:], "--camera", str(front)]) == 0
     assert re.search(
-        r"camera front: person \d was left out: none of those reconstructed of camera side", capsys.readouterr().err
+        r"camera front: person \d was left out: matches nobody reconstructed from camera side", capsys.readouterr().err
     )
 
 
@@ -636,6 +636,9 @@ def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.C
     assert (page.problems, page.outside) == ([], [])
     assert [panel["is_flat"] for panel in page.scenes[0]["panels"]] == [True, True, False]
     assert "Camera side: " in page.text
+    assert run_command_line([*command, "--camera", side, "--person", "0"]) == 0
+    said = capsys.readouterr()
+    assert re.search(r"camera side: person \d was left out: matches nobody reconstructed from camera front", said.err)
     (tmp_path / "calib.toml").write_text("".join(calibrated(camera_of(at), name) for name, at in _PLACES.items()))
     assert run_command_line([*command, "--camera", side, "--calibration", str(tmp_path / "calib.toml")]) == 0
     said = capsys.readouterr()

@@ -74,7 +74,7 @@ class SeenTogether:
         off_m: Median distance of joints from the rays in which they are seen.
         bones_vary: By which part bones change their lengths where rays meet, upper quartile.
         is_scale_known: A stature is stated, or the cameras are calibrated.
-        left_out: People of other cameras who are none of those reconstructed of the first one, in words.
+        left_out: People of other cameras who match nobody reconstructed from the first one, in words.
     """
 
     people: ReconstructedPeople
@@ -224,10 +224,10 @@ def reconstruct_views(
         bones_vary,
         is_scale_known=bool(calibration) or bool(is_stated.any()),
         left_out=tuple(
-            f"camera {name}: person {person.person_id} was left out: none of those reconstructed of camera {names[0]}"
+            f"camera {name}: person {one.person_id} was left out: matches nobody reconstructed from camera {names[0]}"
             for name, people, take in zip(names[1:], alone[1:], same, strict=True)
-            for person in people.methods[-1].people
-            if person.person_id not in take.person_ids
+            for one in people.methods[-1].people
+            if one.person_id not in take.person_ids
         ),
     )
 

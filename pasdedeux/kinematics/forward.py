@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
-from pasdedeux.compiled import compiled
-from pasdedeux.kinematics import rotation_kernels as kernels
 from pasdedeux.kinematics.alignment import best_rotation
 from pasdedeux.kinematics.rotations import (
     conjugate,
@@ -36,44 +34,16 @@ def forward_kinematics(
     Returns:
         World positions (*batch, J, 3) in metres and world rotations (*batch, J, 4).
     """
-    local, joints = np.ascontiguousarray(local_unitquat, dtype=np.float64), skeleton.num_joints
-    batch = local.shape[:-2]
-    roots = np.ascontiguousarray(np.broadcast_to(root_translation_m, (*batch, 3)), dtype=np.float64)
-    offsets = np.asarray(rest_offsets_m, dtype=np.float64)
-    if offsets.ndim > 2:
-        offsets = np.broadcast_to(offsets, (*batch, joints, 3))
-    bones = [(skeleton.parents[joint], joint) for joint in skeleton.order if joint != skeleton.root]
-    positions, world = _carry(
-        np.array(bones, dtype=np.int64).reshape(-1, 2),
-        skeleton.root,
-        np.ascontiguousarray(offsets).reshape(-1, joints, 3),
-        roots.reshape(-1, 3),
-        local.reshape(-1, joints, 4),
-    )
-    return positions.reshape(*batch, joints, 3), world.reshape(local.shape)
-
-
-@compiled()
-def _carry(bones: Integers, root: int, offsets_m: Array, roots_m: Array, local_unitquat: Array) -> tuple[Array, Array]:
-    """Return world positions (row, J, 3) and rotations (row, J, 4); bones (parent, child) from the root outwards.
-
-    Offsets are those of each row (row, J, 3) or of all (1, J, 3).  Sums have the order of `rotations.rotate`.
-    """
-    positions, world = np.empty((*local_unitquat.shape[:2], 3)), np.empty(local_unitquat.shape)
-    for row in range(len(local_unitquat)):
-        offsets = offsets_m[row if len(offsets_m) > 1 else 0]
-        kernels.put_row(positions[row], root, kernels.row_of(roots_m, row))
-        kernels.put_unitquat(world[row], root, kernels.unitquat_of(local_unitquat[row], root))
-        for parent, child in bones:
-            turn, offset = kernels.unitquat_of(world[row], parent), kernels.row_of(offsets, child)
-            local = kernels.unitquat_of(local_unitquat[row], child)
-            kernels.put_unitquat(world[row], child, kernels.multiply(turn, local))
-            twice = kernels.scale(2.0, kernels.cross(turn, offset))
-            across = kernels.cross(turn, twice)
-            for axis in range(3):
-                carried = offset[axis] + turn[3] * twice[axis] + across[axis]
-                positions[row, child, axis] = positions[row, parent, axis] + carried
-    return positions, world
+    world_unitquat = np.empty(np.shape(local_unitquat))
+    positions = np.empty((*np.shape(local_unitquat)[:-1], 3))
+    world_unitquat[..., skeleton.root, :] = local_unitquat[..., skeleton.root, :]
+    positions[..., skeleton.root, :] = root_translation_m
+    for parents, children in skeleton.levels:
+        world = world_unitquat[..., parents, :]
+        world_unitquat[..., children, :] = multiply(world, local_unitquat[..., children, :])
+        carried = rotate(world, rest_offsets_m[..., children, :])
+        positions[..., children, :] = positions[..., parents, :] + carried
+    return positions, world_unitquat
 
 
 def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:

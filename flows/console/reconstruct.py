@@ -170,7 +170,9 @@ def _reconstruct_video(
     videos = sources_of(video)
     if found_others:
         check_one_video(f"camera {names[0]}", [source.parameters.id for source in videos])
-        fit_calibration(calibration, names, [film_size_px(one) for one in (*videos, *found_others)], calibration_file)
+        fit_calibration(
+            calibration, names, [film_size_px(shown) for shown in (*videos, *found_others)], calibration_file
+        )
     searched = find_database(database, store, with_pairs=True)
     others = [read_camera(name, source) for name, source in zip(names[1:], found_others, strict=True)]
     camera = StatedCamera(

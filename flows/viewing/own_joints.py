@@ -46,14 +46,16 @@ def open_own_joints(files: Sequence[str], units_m: Sequence[float], refused: Inp
     """
     paths = list(map(Path, files))
     try:
-        found = [_read(path, paths[:at].count(path), is_all=paths.count(path) == 1) for at, path in enumerate(paths)]
+        read = [_read(path, paths[:at].count(path), is_all=paths.count(path) == 1) for at, path in enumerate(paths)]
     except InputError:
         raise refused from None
-    if all(is_known for is_known, _ in found):
+    if all(is_known for is_known, _ in read):
         raise refused
     stated = [units_m[min(at, len(units_m) - 1)] if units_m else None for at in range(len(paths))]
-    units = [unit for unit, (_, people) in zip(stated, found, strict=True) for _ in people]
-    scene = _scene([one for _, people in found for one in people], units, why=f"as a take it is refused: {refused}")
+    units = [unit for unit, (_, people) in zip(stated, read, strict=True) for _ in people]
+    scene = _scene(
+        [person for _, people in read for person in people], units, why=f"as a take it is refused: {refused}"
+    )
     rows, name = scene.num_frames, paths[0].stem
     columns = {column.name: np.full((rows, *column.shape), np.nan) for column in TABLES["poses"].columns}
     known = {
@@ -100,15 +102,15 @@ def _unit_m(source: SourceMotion) -> float:
 
 def _scene(people: Sequence[OwnJoints], units_m: Sequence[float | None], *, why: str) -> Scene:
     """Return everybody at the least of the rates, for as long as all of them last."""
-    sources, num = [one.source for one in people], len(people)
+    sources, num = [person.source for person in people], len(people)
     axes = resolve_up_axes(sources, [None] * num, ["auto"] * num, [True] * num)
-    rate_hz = min(one.rate_hz or _RATE_HZ for one in people)
+    rate_hz = min(person.rate_hz or _RATE_HZ for person in people)
     placed = []
-    for one, source, axis, unit_m in zip(people, sources, axes, units_m, strict=True):
-        positions = resample_positions(one.positions, from_hz=one.rate_hz or _RATE_HZ, to_hz=rate_hz)
+    for person, source, axis, unit_m in zip(people, sources, axes, units_m, strict=True):
+        positions = resample_positions(person.positions, from_hz=person.rate_hz or _RATE_HZ, to_hz=rate_hz)
         upright = rotate(np.broadcast_to(upright_from_file(axis.axis), (*positions.shape[:-1], 4)), positions)
         placed.append(upright * (unit_m or _unit_m(source)))
-    shown = _together([one.skeleton for one in people], placed)
+    shown = _together([person.skeleton for person in people], placed)
     return Scene(shown, np.arange(len(shown.positions_m)), rate_hz, facts=(_ABOUT, why), has_floor=False)
 
 
@@ -128,8 +130,8 @@ def _together(skeletons: Sequence[Skeleton], placed: Sequence[Array]) -> People:
         for parent in rig.parents
     ]
     positions: Any = np.empty((min(map(len, placed)), len(placed), len(names), 3), dtype=np.float32)
-    for person, (rig, own) in enumerate(zip(skeletons, placed, strict=True)):
-        start, own = starts[rigs.index(rig)], own[: len(positions)]
-        positions[:, person] = own[:, [rig.root]]
-        positions[:, person, start : start + rig.num_joints] = own
+    for person, (rig, joints_m) in enumerate(zip(skeletons, placed, strict=True)):
+        start, shown_m = starts[rigs.index(rig)], joints_m[: len(positions)]
+        positions[:, person] = shown_m[:, [rig.root]]
+        positions[:, person, start : start + rig.num_joints] = shown_m
     return People(Skeleton("own joints", tuple(names), tuple(parents)), positions)

@@ -51,12 +51,12 @@ def read_own_joints(kind: MotionFormat, data: bytes, companion: bytes = b"") -> 
         return [OwnJoints(skeleton, positions, rate_hz, None) for skeleton, positions in trees]
     return [
         OwnJoints(
-            one.skeleton,
-            forward_kinematics(one.skeleton, one.rest_offsets, one.root_translation, one.local_unitquat)[0],
-            one.rate_hz,
-            one.metres_per_unit,
+            person.skeleton,
+            forward_kinematics(person.skeleton, person.rest_offsets, person.root_translation, person.local_unitquat)[0],
+            person.rate_hz,
+            person.metres_per_unit,
         )
-        for one in kind.read_people(data, companion)
+        for person in kind.read_people(data, companion)
     ]
 
 
@@ -66,4 +66,4 @@ def is_body(kind: MotionFormat, data: bytes, companion: bytes = b"") -> bool:
         people: Sequence[SourceMotion] = kind.read_people(data, companion)
     except FormatError:
         return False
-    return all(resolve_motion(one.rest).layout is not None for one in people)
+    return all(resolve_motion(person.rest).layout is not None for person in people)

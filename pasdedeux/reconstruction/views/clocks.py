@@ -87,7 +87,9 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
     chosen = [linear_sum_assignment(-table[..., at]) for at in range(len(lags))]
     sums = np.array([table[*pairs, at].sum() for at, pairs in enumerate(chosen)])
     if not table.any():
-        if not all(any(one.speed_m_s[one.is_known].any() for one in side.values()) for side in (first, second)):
+        if not all(
+            any(person.speed_m_s[person.is_known].any() for person in side.values()) for side in (first, second)
+        ):
             raise InputError("nobody moves, so that their clocks cannot be found; choose a part with motion")
         raise InputError(
             f"they show nobody for {_MIN_SHARED_S:.0f} s together, or for half of the shorter film, whatever their "

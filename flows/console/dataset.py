@@ -61,8 +61,8 @@ def create(
     stated = [one for ref in refs for one in opened.manifest(ref).parameters.get("sources", ())]
     if gone := [source for source in stated if SourceCredit(**source) not in today[1]]:
         raise PlanError(
-            f"the report of study '{study}' states {gone[0]['name']}: {gone[0]['licence']}, but the source has another "
-            "licence or credit now; run the study to its end first"
+            f"the report of study '{study}' says {gone[0]['name']}: {gone[0]['licence']}, which is no longer so; "
+            "run the study to its end first"
         )
     versions = [version for version in list_datasets(opened, name) if version.name == name]
     same = [one for one in versions if (list(one.refs), one.sources) == today]

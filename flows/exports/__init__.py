@@ -126,7 +126,7 @@ def export_selection(
         or reference.row is not None
     ):
         raise InputError(
-            f"'{text}': --select chooses from all draws of a study (draws:study) or of a dataset (draws:name@1)"
+            f"'{text}': pairs are selected among all of a study, draws:study, or of a dataset, draws:name@1"
         )
     kind = _format_for(file_format, options)
     if not kind.can_write(reference):

@@ -9,6 +9,7 @@ import fcntl
 import logging
 import os
 import pickle
+import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import update_wrapper
@@ -21,6 +22,12 @@ _ONE_AT_A_TIME = RLock()
 """Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
 _LOCKED: set[str] = set()
 """Names of the kernels that this process compiles alone, by the one thread that holds numba's lock."""
+_SYMBOL_NUMBERS = iter(lambda: secrets.randbits(64), -1)
+"""Numbers that make symbols of compiled code unique.
+
+Numba counts from 1 in every process.  Two processes can then give different code the same symbol, and a third one that
+loads both from the cache runs the wrong code or crashes (numba's issue 10486).
+"""
 _PATIENCE_S = 10.0
 """How long a process waits for another before it says so: few kernels take that long."""
 _LOG = logging.getLogger(__name__)
@@ -101,18 +108,21 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     one compiles, the others wait and load.  Where nothing can be kept, each process compiles for itself.
     """
     from numba import __version__, config, njit
+    from numba.core.bytecode import FunctionIdentity
     from numba.core.caching import IndexDataCacheFile
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.types import unliteral
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
         return function
+    FunctionIdentity._unique_ids = _SYMBOL_NUMBERS
     options = {"nogil": True, "error_model": "numpy", **options}
     try:
         made = njit(cache=True, **options)(function)
         base, stamp = made._cache._impl.filename_base, made._cache._cache_file._source_stamp
         # Files of its own for each version of numba: each would replace those of the other, and compile for minutes.
-        files = made._cache._cache_file = IndexDataCacheFile(made.stats.cache_path, f"{base}-{__version__}", stamp)
+        name = f"{base}-{__version__}-unique"
+        files = made._cache._cache_file = IndexDataCacheFile(made.stats.cache_path, name, stamp)
     except RuntimeError:  # no folder that it may write to
         made, files = njit(**options)(function), None
     compile_anew = made.compile

@@ -83,6 +83,44 @@ print("compiled", *(name.replace(" ", "") for name in own))
 """
 
 
+LONG = "\n".join(f"            total += math.sin(x + {part}) * math.exp({part}.0 * step)" for part in range(20))
+TWINS = f"""
+import math
+from pasdedeux.compiled import compiled
+
+def adder(number):
+    @compiled()
+    def add(x):  # too long to be inlined
+        total = 0.0
+        for step in range(3):
+{LONG}
+        return number + 0.0 * total
+    return add
+
+add_one, add_two = adder(1.0), adder(2.0)
+
+@compiled()
+def by_one(x):
+    return add_one(x) + 0.0 * add_one(x + 1.0)
+
+@compiled()
+def by_two(x):
+    return add_two(x) + 0.0 * add_two(x + 1.0)
+"""
+
+
+def test_code_that_two_processes_compiled_is_told_apart_by_a_third(tmp_path: Path) -> None:
+    """Numba numbers symbols from 1 in each process, so that the two closures would have the same one."""
+    (tmp_path / "twins.py").write_text(TWINS)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": f"{ROOT}:{tmp_path}"}
+    values = ["twins.by_one(0.5)", "twins.by_two(0.5)", "(twins.by_one(0.5), twins.by_two(0.5))"]
+    said = [
+        subprocess.check_output([sys.executable, "-c", f"import twins; print({value})"], env=environment, text=True)
+        for value in values
+    ]
+    assert said == ["1.0\n", "2.0\n", "(1.0, 2.0)\n"]
+
+
 def test_of_two_processes_one_compiles_a_kernel_and_the_other_waits_for_it(tmp_path: Path) -> None:
     command = [sys.executable, "-c", COUNTED + SCRIPT + SAID, "bones", "lists"]
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}

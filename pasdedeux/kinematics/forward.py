@@ -6,6 +6,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.kinematics.alignment import best_rotation
+from pasdedeux.kinematics.forward_kernel import carry_out
 from pasdedeux.kinematics.rotations import (
     conjugate,
     identity_unitquat,
@@ -34,16 +35,21 @@ def forward_kinematics(
     Returns:
         World positions (*batch, J, 3) in metres and world rotations (*batch, J, 4).
     """
-    world_unitquat = np.empty(np.shape(local_unitquat))
-    positions = np.empty((*np.shape(local_unitquat)[:-1], 3))
-    world_unitquat[..., skeleton.root, :] = local_unitquat[..., skeleton.root, :]
-    positions[..., skeleton.root, :] = root_translation_m
-    for parents, children in skeleton.levels:
-        world = world_unitquat[..., parents, :]
-        world_unitquat[..., children, :] = multiply(world, local_unitquat[..., children, :])
-        carried = rotate(world, rest_offsets_m[..., children, :])
-        positions[..., children, :] = positions[..., parents, :] + carried
-    return positions, world_unitquat
+    local, joints = np.ascontiguousarray(local_unitquat, dtype=np.float64), skeleton.num_joints
+    batch = local.shape[:-2]
+    roots = np.ascontiguousarray(np.broadcast_to(root_translation_m, (*batch, 3)), dtype=np.float64)
+    offsets = np.asarray(rest_offsets_m, dtype=np.float64)
+    if offsets.ndim > 2:
+        offsets = np.broadcast_to(offsets, (*batch, joints, 3))
+    bones = [(skeleton.parents[joint], joint) for joint in skeleton.order if joint != skeleton.root]
+    positions, world = carry_out(
+        np.array(bones, dtype=np.int64).reshape(-1, 2),
+        skeleton.root,
+        np.ascontiguousarray(offsets).reshape(-1, joints, 3),
+        roots.reshape(-1, 3),
+        local.reshape(-1, joints, 4),
+    )
+    return positions.reshape(*batch, joints, 3), world.reshape(local.shape)
 
 
 def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:

@@ -84,15 +84,6 @@ class Skeleton:
         return tuple(order)
 
     @cached_property
-    def levels(self) -> tuple[tuple[list[int], list[int]], ...]:
-        """Parents and children of the bones that are one, two, ... bones away from the root."""
-        levels, parents = [], [self.root]
-        while pairs := [(parent, child) for parent in parents for child in self.children(parent)]:
-            levels.append(([parent for parent, _ in pairs], [child for _, child in pairs]))
-            parents = levels[-1][1]
-        return tuple(levels)
-
-    @cached_property
     def bones(self) -> tuple[tuple[int, int], ...]:
         """All (parent, child) pairs, by child index."""
         return tuple((parent, child) for child, parent in enumerate(self.parents) if parent >= 0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -126,25 +127,29 @@ class _Made:
             np.array(self.ends_m).reshape(-1, 2, 3),
             np.array(self.radii_m).reshape(-1, 2),
             np.array(self.joints, dtype=np.int64),
-            np.array([[bool(meet & other) for other in self.meets] for meet in self.meets]).reshape(
-                len(self.meets), -1
-            ),
+            _beside(tuple(self.meets)).copy(),
         )
+
+
+@lru_cache(maxsize=8)
+def _beside(meets: tuple[frozenset[int], ...]) -> Flags:
+    """Return which cones meet in a joint (cone, cone); bodies on one skeleton have the same ones."""
+    return np.array([[bool(meet & other) for other in meets] for meet in meets]).reshape(len(meets), -1)
 
 
 def _outside(rest_m: Array, parent: int, child: int, name: str, axes: Array) -> tuple[int, Array, Any]:
     """Return what lies outside the capsules at the end of a bone: its joint, its axes (3, 3) and its parts."""
-    bone = normalise(rest_m[child] - rest_m[parent], fallback=axes[1])
     kind = name.rpartition("_")[2]
+    if kind == "head":
+        return child, axes, _HEAD
+    if kind not in ("wrist", "toe"):
+        return child, axes, ()
+    bone = normalise(rest_m[child] - rest_m[parent], fallback=axes[1])
     if kind == "wrist":
         forward = normalise(axes[2] - bone * (axes[2] @ bone), fallback=axes[1])
         return child, np.stack([bone, np.cross(forward, bone), forward]), _HAND
-    if kind == "head":
-        return child, axes, _HEAD
-    if kind == "toe":
-        forward = normalise(bone - axes[1] * (bone @ axes[1]), fallback=axes[2])
-        return parent, np.stack([np.cross(axes[1], forward), axes[1], forward]), (_HEEL,)
-    return child, axes, np.empty((0, 2, 4))
+    forward = normalise(bone - axes[1] * (bone @ axes[1]), fallback=axes[2])
+    return parent, np.stack([np.cross(axes[1], forward), axes[1], forward]), (_HEEL,)
 
 
 def _axes(rest_m: Array, joints: Mapping[str, int]) -> Array | None:

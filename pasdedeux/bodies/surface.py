@@ -14,6 +14,8 @@ _SMOOTH_M = 0.006
 """Width of the smooth union; where two cones are equally near, the surface is ln 2 times this farther out."""
 _BLENDS = 8.0
 """A cone farther away than the nearest by so many widths does not count: exp(-8) of a width is 2 micrometres."""
+_ROUNDED_M = 1e-12
+"""Bounds leave so much for rounding."""
 NUM_VERTICES = 4000
 """About as many vertices has a body by default."""
 _VERTICES_PER_SQUARE = 1.15
@@ -93,10 +95,14 @@ def _blend(count: int, active: Integers, near: Array, power: Array, is_beside: F
         least = min(least, near[active[at]])
     if count == 1:
         return least
+    every = 0.0
     for at in range(count):
         power[at] = math.exp((least - near[active[at]]) / width)
-    distance = least
+        every += power[at]
+    distance, most = least, width * math.log(every) + _ROUNDED_M
     for at in range(count):
+        if near[active[at]] - most > distance:  # no blend brings this one to the front
+            continue
         total = 0.0
         for other in range(count):
             if is_beside[active[at], active[other]]:
@@ -106,7 +112,7 @@ def _blend(count: int, active: Integers, near: Array, power: Array, is_beside: F
 
 
 @compiled()
-def surface_field(points: Array, cones: Array, is_beside: Flags, width: float) -> Array:
+def surface_field(points: Array, cones: Array, is_beside: Flags, width: float, far: float = math.inf) -> Array:
     """Return the smooth union of round cones at points (n, 3): about the distance to its surface, negative inside.
 
     Cones that meet blend.  With d the distance to a cone, d_k those to cones beside it and itself, d_min the least
@@ -117,12 +123,21 @@ def surface_field(points: Array, cones: Array, is_beside: Flags, width: float) -
         cones: As `_packed` (cone, 15), metres.
         is_beside: Which of them blend (cone, cone).
         width: Of the blend, metres.
+        far: Points farther from the surface than this may have the value of the point before, if that is as far and on
+            the same side: no value changes by more than the way between two points.
     """
-    values = np.empty(len(points))
+    values, spare = np.empty(len(points)), 0.0
     near, power, active = np.empty(len(cones)), np.empty(len(cones)), np.zeros(len(cones), dtype=np.int64)
     for row in range(len(points)):
+        if spare > 0.0:
+            way = points[row] - points[row - 1]
+            spare -= math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+        if spare > 0.0:
+            values[row] = values[row - 1]
+            continue
         count = _scan(points[row, 0], points[row, 1], points[row, 2], cones, width, near, active)
         values[row] = _blend(count, active, near, power, is_beside, width)
+        spare = abs(values[row]) - far
     return values
 
 
@@ -176,16 +191,20 @@ def _weigh(
         width: Of the change from one cone to the next, by the nearest (cone,), metres.
         num_joints: J.
     """
-    weights, away = np.zeros((len(points), num_joints)), np.empty(len(cones))
+    weights = np.zeros((len(points), num_joints))
     for row in range(len(points)):
-        nearest = 0
+        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        nearest, nearest_m = 0, math.inf
         for cone in range(len(cones)):
-            away[cone] = max(_distance(points[row, 0], points[row, 1], points[row, 2], cones, cone), least[cone])
-            if away[cone] < away[nearest]:
-                nearest = cone
+            dx, dy, dz = x - cones[cone, 11], y - cones[cone, 12], z - cones[cone, 13]
+            bound = nearest_m + cones[cone, 14] + _ROUNDED_M  # outside its ball a cone is farther than the nearest
+            if bound > 0.0 and dx * dx + dy * dy + dz * dz < bound * bound:
+                away = max(_distance(x, y, z, cones, cone), least[cone])
+                if away < nearest_m:
+                    nearest, nearest_m = cone, away
         for cone in range(len(cones)):
             if is_beside[nearest, cone]:
-                beyond = (away[cone] - away[nearest]) / width[nearest]
+                beyond = (max(_distance(x, y, z, cones, cone), least[cone]) - nearest_m) / width[nearest]
                 weights[row, joints[cone]] += math.exp(-beyond * beyond)
         for joint in range(num_joints):
             if weights[row, joint] < _LEAST:
@@ -208,7 +227,8 @@ def mesh_of(cones: Cones, num_vertices: int = NUM_VERTICES) -> tuple[Array, Inte
     low = (cones.ends_m.min(axis=1) - widest[:, None]).min(axis=0) - 2.0 * voxel
     high = (cones.ends_m.max(axis=1) + widest[:, None]).max(axis=0) + 2.0 * voxel
     coarse = np.indices(np.ceil((high - low) / (2.0 * voxel)).astype(int)).transpose(1, 2, 3, 0) + 0.25
-    blocks = surface_field(low + 2.0 * voxel * coarse.reshape(-1, 3), *shape).reshape(coarse.shape[:3])
+    far = _NEAR * voxel + _STEP_M
+    blocks = surface_field(low + 2.0 * voxel * coarse.reshape(-1, 3), *shape, far).reshape(coarse.shape[:3])
     corners = np.indices((2, 2, 2)).reshape(3, -1).T
     near = (2 * np.argwhere(np.abs(blocks) < _NEAR * voxel)[:, None] + corners).reshape(-1, 3)
     eight = (blocks.shape[0], 2, blocks.shape[1], 2, blocks.shape[2], 2)

@@ -115,7 +115,7 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
 
     if config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when numba reads the environment
         return function
-    FunctionIdentity._unique_ids = _SYMBOL_NUMBERS
+    FunctionIdentity._unique_ids = _SYMBOL_NUMBERS  # type: ignore[assignment]  # only `next` is called
     options = {"nogil": True, "error_model": "numpy", **options}
     try:
         made = njit(cache=True, **options)(function)

@@ -118,7 +118,8 @@ class DetectedSequence(Settings):
 class SequenceFacts(PeopleFacts):
     """Annotated sequences, and what was stated of camera and people.
 
-    `why_no_video` is why frames of some do not follow each other in time, by sequence.
+    `why_no_video` is why frames of some do not follow each other in time, by sequence; `calibration` is the TOML of one
+    and the table of this camera.
     """
 
     kind: Literal["sequences"] = "sequences"
@@ -135,6 +136,7 @@ class SequenceFacts(PeopleFacts):
     camera_height_m: float | None = None
     statures_m: dict[int, float] = Field({})
     camera_of: str | None = None
+    calibration: tuple[str, str] | None = None
     num_merged_rows: int = 0
     num_ghost_rows: int = 0
     num_repaired_joints: int = 0

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.errors import InputError
+from pasdedeux.errors import InputError, named
 from pasdedeux.evaluation.verdicts import merge_verdicts
+from pasdedeux.formats.calibration import CalibratedCamera, calibrated_camera
 from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import check_one_video, why_no_video
@@ -156,7 +157,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         camera, cameras = StatedCamera(height_m=parameters.camera_height_m), dict[str, np.ndarray]()
         try:
             if others:
-                together = _reconstruct_together(store, others, tracks, database, camera, parameters)
+                together = _reconstruct_together(store, annotations, others, tracks, database, camera, parameters)
         except InputError as error:
             reasons.append(str(error))
     facts["skipped"] = [f"{sequence_id}: {reason}" for reason in reasons]
@@ -206,6 +207,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 def _reconstruct_together(
     store: Store,
+    first: ArtifactRef,
     others: Sequence[ArtifactRef],
     tracks: Sequence[Track],
     database: SearchedDatabase,
@@ -215,9 +217,10 @@ def _reconstruct_together(
     """Return the people of a take that others saw beside the camera that has these tracks.
 
     Raises:
-        InputError: A camera shows nobody, or as `reconstruct_views`.
+        InputError: A camera shows nobody, its images have another shape than those of the calibration, or as
+            `reconstruct_views`.
     """
-    seen, names = [tracks], [parameters.sequence_id]
+    seen, names, calibration = [tracks], [parameters.sequence_id], list[CalibratedCamera]()
     for ref in others:
         names.append(store.manifest(ref).partition)
         (sequence_id,) = SequenceFacts.of(store.manifest(ref)).sequence_ids
@@ -225,8 +228,15 @@ def _reconstruct_together(
         if not of_other:
             raise InputError(f"camera {names[-1]}: {next(iter(reasons), 'it shows nobody')}")
         seen.append(of_other)
+    for name, ref in zip(names, (first, *others), strict=True):
+        if stated_calibration := SequenceFacts.of(store.manifest(ref)).calibration:
+            sizes = store.read(ref, "annotations", columns=["image_width_px", "image_height_px"], rows=slice(1))
+            width, height = (sizes[column][0] for column in ("image_width_px", "image_height_px"))
+            with named(f"camera {name}"):
+                size_px = None if width is None or height is None else (width, height)
+                calibration.append(calibrated_camera(*stated_calibration, size_px))
     options = replace(_options(parameters), methods=parameters.methods[-1:])
-    return reconstruct_views(seen, database, stated, options, names=names)
+    return reconstruct_views(seen, database, stated, options, names=names, calibration=calibration)
 
 
 def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[Track], list[str]]:

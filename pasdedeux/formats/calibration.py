@@ -143,6 +143,16 @@ def read_calibration(data: bytes) -> list[CalibratedCamera]:
     return [replace(camera, translation_m=camera.translation_m / 1e3) for camera in cameras]
 
 
+def calibrated_camera(text: str, table: str, size_px: tuple[float, float] | None) -> CalibratedCamera:
+    """Return the camera of a table of a calibration (TOML), for images of this width and height if they are known.
+
+    Raises:
+        InputError: As `read_calibration`, or the images have another shape.
+    """
+    camera = next(camera for camera in read_calibration(text.encode()) if camera.table == table)
+    return camera.for_images(size_px)
+
+
 def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) -> tuple[list[CalibratedCamera], bool]:
     """Return the cameras that files of these names are of, and whether names say so; else they are in one order.
 

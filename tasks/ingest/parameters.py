@@ -94,6 +94,13 @@ class IngestParameters(Parameters):
                     f"camera_of of '{source.id}' must name another source without camera_of, found "
                     f"'{source.camera_of}'; there are: {firsts or 'none'}"
                 )
+        firsts_named = {source.camera_of for source in sources.values()}
+        for source in sources.values():
+            if source.calibration and source.id not in firsts_named:
+                raise ValueError(
+                    f"calibration of '{source.id}' is of several cameras, and no other source has "
+                    f"camera_of = '{source.id}'; state it for the source that camera_of names"
+                )
         named = [
             *self.held_out,
             *self.prior,

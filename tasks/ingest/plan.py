@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from pasdedeux.errors import InputError
+from typing import TypeVar
+
+from pasdedeux.errors import InputError, named
+from pasdedeux.formats.calibration import calibrated_camera, choose_cameras, read_calibration
 from pasdedeux.people.video import check_one_video
 from tasks.ingest.common import INGEST
+from tasks.ingest.files import load_file
 from tasks.ingest.film.run import find_videos
 from tasks.ingest.parameters import IngestParameters, SkippedParameters
+from tasks.ingest.poses2d.parameters import AnnotationParameters
 from tasks.ingest.poses2d.resolution import find_annotations
 from tasks.ingest.takes.plan import plan_takes
 from tasks.ingest.virtual_video.plan import plan_virtual_video
 from tasks.stage import Shard, StageInputs
+
+_Source = TypeVar("_Source", bound=AnnotationParameters)
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -28,7 +35,7 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
     for take in takes:
         shards.append(take)
         shards.extend(plan_virtual_video(inputs, parameters, take))
-    found_of: dict[str, list[str]] = {}
+    calibrations, found_of = _calibrations(parameters), dict[str, list[str]]()
     for options in parameters.annotations:
         waiting: dict[str, str] | None = {} if options.is_watched else None
         for found in find_annotations(
@@ -38,6 +45,7 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
             take_seconds=parameters.take_seconds,
         ):
             planned, files, notes = found.parameters, found.files, found.notes
+            planned = _calibrated(planned, calibrations.get(options.id))
             found_of.setdefault(options.id, []).append(planned.id)
             shards.append(INGEST.shard(inputs, planned.id, "annotations", planned, files=files, notes=notes))
         if waiting:
@@ -46,9 +54,43 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         is_held_out = film.take_id in parameters.held_out
         for shot in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
             planned, files, notes = shot.parameters, shot.files, shot.notes
+            planned = _calibrated(planned, calibrations.get(film.id))
             found_of.setdefault(film.id, []).append(planned.id)
             shards.append(INGEST.shard(inputs, planned.id, "film", planned, files=files, notes=notes))
     for source in (*parameters.annotations, *parameters.videos):
         for name in (source.id, source.camera_of) if source.camera_of else ():
             check_one_video(f"camera {name}", found_of.get(name, []))
     return shards
+
+
+def _calibrations(parameters: IngestParameters) -> dict[str, tuple[str, str]]:
+    """Return the calibrations that sources state, and the table of each camera in them, by source.
+
+    Raises:
+        InputError: A file is missing or mangled, or does not fit the cameras.
+    """
+    found: dict[str, tuple[str, str]] = {}
+    sources = (*parameters.annotations, *parameters.videos)
+    for source in sources:
+        if source.calibration is None:
+            continue
+        names = [source.id, *(other.id for other in sources if other.camera_of == source.id)]
+        data = load_file(source.calibration).data
+        with named(f"calibration of '{source.id}', {source.calibration.name}"):
+            cameras, _ = choose_cameras(read_calibration(data), names)
+        text = data.decode("utf-8-sig")
+        found |= {name: (text, camera.table) for name, camera in zip(names, cameras, strict=True)}
+    return found
+
+
+def _calibrated(parameters: _Source, calibration: tuple[str, str] | None) -> _Source:
+    """Return a source with its camera in a calibration.
+
+    Raises:
+        InputError: The images have another shape than those of the calibration.
+    """
+    if calibration is None:
+        return parameters
+    with named(f"camera {parameters.id}"):
+        calibrated_camera(*calibration, parameters.image_size_px or parameters.video_size_px)
+    return parameters.model_copy(update={"calibration": calibration})

@@ -9,6 +9,7 @@ import numpy as np
 
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
+from pasdedeux.kinematics.rotations import rotvec_from_unitquat, unitquat_from_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
@@ -122,3 +123,26 @@ def known_lens(seen: Seen) -> Seen:
     x, y = seen.camera.principal_point_px
     lens = Lens(seen.camera.focal_px, (float(x), float(y)), is_known=True)
     return replace(seen, tracks=[replace(track, lens=lens) for track in seen.tracks])
+
+
+def calibrated(
+    camera: PinholeCamera,
+    name: str = "cam",
+    *,
+    scale: float = 1.0,
+    distortions: tuple[float, ...] = (),
+    unit: float = 1.0,
+) -> str:
+    """Return the table of a camera in a file of a calibration, for images larger by a scale."""
+    rotmat = np.diag([1.0, -1.0, -1.0]) @ camera.camera_from_world_rotmat
+    (cx, cy), focal = camera.principal_point_px, scale * camera.focal_px
+    cx, cy = (scale * (at + 0.5) - 0.5 for at in (cx, cy))
+    rotvec = rotvec_from_unitquat(unitquat_from_rotmat(rotmat))
+    return f"""[{name}]
+name = "{name}"
+size = [ {scale * camera.image_size_px[0]}, {scale * camera.image_size_px[1]},]
+matrix = [ [ {focal}, 0.0, {cx},], [ 0.0, {focal}, {cy},], [ 0.0, 0.0, 1.0,],]
+distortions = {list(distortions or (0.0,) * 5)}
+rotation = {rotvec.tolist()}
+translation = {(-unit * rotmat @ camera.position_m).tolist()}
+"""

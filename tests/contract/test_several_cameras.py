@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from tasks.evaluation.reconstruction import TOPIC
 from tasks.ingest.parameters import IngestParameters
 from tasks.reconstruction import ReconstructionParameters
 from tasks.stage import Parameters, StageInputs
-from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, Seen, duet_m, see
+from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, Seen, calibrated, duet_m, see
 from tests.builders.ingest_runs import planned, run
 from tests.builders.rendered_film import write_film
 
@@ -36,11 +37,11 @@ def write_camera(path: Path, seen: Seen) -> str:
     return str(path)
 
 
-def ingested(tmp_path: Path, seen: list[Seen]) -> tuple[Store, list[Manifest], list[Manifest]]:
-    """Return the annotations of the cameras, and a database of other duets."""
+def ingested(tmp_path: Path, seen: list[Seen], **first: str) -> tuple[Store, list[Manifest], list[Manifest]]:
+    """Return the annotations of the cameras, whose first has these keys, too, and a database of other duets."""
     store = Store(tmp_path / "store")
     paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]
-    sources = [{"id": "front", "path": paths[0]}, {"id": "side", "path": paths[1], "camera_of": "front"}]
+    sources = [{"id": "front", "path": paths[0], **first}, {"id": "side", "path": paths[1], "camera_of": "front"}]
     duets = [{"name": name, "duration_s": 4.0} for name in ("push_hands", "hug", "judo")]
     made = list(run(store, planned(rate_hz=RATE_HZ, duets=duets, annotations=sources)).values())
     poses, annotations = ([one for one in made if table in one.tables] for table in ("poses", "annotations"))
@@ -84,6 +85,53 @@ def test_two_sources_of_a_take_become_one_motion(tmp_path: Path) -> None:
     shown = [replace(one, facts={**one.facts, "takes": ["waltz"]}) for one in annotations[::-1]]
     (scored,) = TOPIC.plan(StageInputs({"annotations": shown, "motions": [manifest]}, seed=0), Parameters())
     assert [store.manifest(ref).partition for ref in scored.refs("annotations")] == ["front"]
+
+
+def test_a_calibration_places_the_cameras_of_a_study(tmp_path: Path) -> None:
+    seen = see(duet_m("waltz"), (20.0, 100.0))
+    path = tmp_path / "calib.toml"
+    # In another order than the sources, with a camera that the study has not, and of images half as large again.
+    tables = {"rear": (seen[0], 1.0), "side": (seen[1], 1.5), "front": (seen[0], 1.5)}
+    path.write_text("".join(calibrated(one.camera, name, scale=scale) for name, (one, scale) in tables.items()))
+    store, annotations, database = ingested(tmp_path, seen, calibration=str(path))
+    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
+    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("fit",)))
+    manifest = store.manifest(reconstruction.run_shard(shard, store))
+    motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
+    focal = [one.camera.focal_px for one in seen]
+    np.testing.assert_allclose(motion["cameras_focal_px"], focal, rtol=1e-6)
+    between = np.linalg.norm(seen[0].camera.position_m - seen[1].camera.position_m)
+    np.testing.assert_allclose(np.linalg.norm(np.subtract(*motion["cameras_position_m"])), between, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "keys", "said"),
+    [
+        ("[one", {}, "calibration of 'front', calib.toml: the calibration is no TOML"),
+        ("front", {}, "calibration of 'front', calib.toml: the cameras front, rear of the calibration fit only some"),
+        ("turned", {}, "camera front: camera front of the calibration is of images of 540 x 960"),
+        ("", {"camera_of": "other"}, "calibration of 'front' is of several cameras, and no other source has camera_of"),
+    ],
+)
+def test_a_calibration_that_does_not_fit_is_refused_before_work(
+    tmp_path: Path, text: str, keys: dict[str, str], said: str
+) -> None:
+    seen = see(duet_m("waltz"), (20.0, 100.0))
+    paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]
+    front, side = (one.camera for one in seen)
+    turned = replace(front, image_size_px=SIZE_PX[::-1])
+    cameras = {
+        "front": calibrated(front, "front") + calibrated(side, "rear"),
+        "turned": calibrated(turned, "front") + calibrated(side, "side"),
+    }
+    (tmp_path / "calib.toml").write_text(cameras.get(text, text))
+    sources = [
+        {"id": "front", "path": paths[0], "calibration": str(tmp_path / "calib.toml"), "image_size_px": SIZE_PX},
+        {"id": "side", "path": paths[1], "camera_of": "front", **keys},
+        {"id": "other", "path": paths[1]},
+    ]
+    with pytest.raises((InputError, ValidationError), match=re.escape(said)):
+        planned(duets=[], annotations=sources)
 
 
 def test_a_camera_of_another_take_is_said_and_nothing_is_made(tmp_path: Path) -> None:

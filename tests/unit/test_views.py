@@ -16,14 +16,12 @@ import pytest
 from flows.console.app import run_command_line
 from flows.console.cameras import camera_names
 from flows.exports.reconstructions import Footage, write_reconstruction
-from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.formats.calibration import choose_cameras, read_calibration
 from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.kinematics.rotations import rotvec_from_unitquat, unitquat_from_rotmat
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase
 from pasdedeux.reconstruction.tracks import Lens
@@ -38,7 +36,7 @@ from pasdedeux.verdict import Level
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import FoundFilm, find_videos
 from tasks.ingest.poses2d.resolution import FoundAnnotations
-from tests.builders.cameras_of_a_take import SIZE_PX, Seen, database_of_duets, duet_m, errors_m, see
+from tests.builders.cameras_of_a_take import SIZE_PX, Seen, calibrated, database_of_duets, duet_m, errors_m, see
 from tests.builders.pages import Page
 from tests.builders.rendered_film import write_film
 from tests.builders.walkers_on_video import build_store, camera_of, reference, write_walkers
@@ -62,29 +60,6 @@ def seen(truth_m: np.ndarray) -> list[Seen]:
 @pytest.fixture(scope="module")
 def together(seen: list[Seen], database: SearchedDatabase) -> SeenTogether:
     return reconstruct_views([one.tracks for one in seen], database)
-
-
-def calibrated(
-    camera: PinholeCamera,
-    name: str = "cam",
-    *,
-    scale: float = 1.0,
-    distortions: tuple[float, ...] = (),
-    unit: float = 1.0,
-) -> str:
-    """Return the table of a camera in a file of a calibration, for images larger by a scale."""
-    rotmat = np.diag([1.0, -1.0, -1.0]) @ camera.camera_from_world_rotmat
-    (cx, cy), focal = camera.principal_point_px, scale * camera.focal_px
-    cx, cy = (scale * (at + 0.5) - 0.5 for at in (cx, cy))
-    rotvec = rotvec_from_unitquat(unitquat_from_rotmat(rotmat))
-    return f"""[{name}]
-name = "{name}"
-size = [ {scale * camera.image_size_px[0]}, {scale * camera.image_size_px[1]},]
-matrix = [ [ {focal}, 0.0, {cx},], [ 0.0, {focal}, {cy},], [ 0.0, 0.0, 1.0,],]
-distortions = {list(distortions or (0.0,) * 5)}
-rotation = {rotvec.tolist()}
-translation = {(-unit * rotmat @ camera.position_m).tolist()}
-"""
 
 
 def test_two_unknown_cameras_tell_poses_and_places(

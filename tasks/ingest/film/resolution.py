@@ -25,6 +25,7 @@ from tasks.ingest.files import find_file, read_again
 from tasks.ingest.film.detector_files import find_network
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
 from tasks.ingest.film.readers import Film, first_shown, image_at, is_film, open_film, read_film
+from tasks.ingest.poses2d.parameters import SOURCE_FILES
 from tasks.ingest.poses2d.readers import VIDEO_SUFFIXES, find_cameras, is_named_after
 from tasks.ingest.poses2d.resolution import own_layout_of
 from tasks.stage import SourceFile
@@ -293,7 +294,7 @@ def _shots_of(
     files = tuple(map(find_file, camera.paths)) if camera else ()
     numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([one.name for one in camera.paths]) if camera else []
     common = options.model_dump(
-        exclude={*("id", "path", "format", "keys", "detections", "detect", "has_cuts", "layout_file", "people_file")}
+        exclude={"id", "path", "format", "keys", "detections", "detect", "has_cuts", *SOURCE_FILES}
     )
     shots = []
     for index, (start, stop) in enumerate(pairwise(starts)):

@@ -97,6 +97,15 @@ class SourceOptions(AnnotationCommon):
         description="Table of identities that overrides those that ingest resolves (sequence, first_frame, last_frame, "
         "person, is): an edited copy of the attachment people.csv of an earlier run",
     )
+    calibration: Path | None = Field(
+        None,
+        description="`calib.toml` of Pose2Sim, Anipose or freemocap, of this camera and those whose `camera_of` names "
+        "it; they are matched by name; without it, cameras follow from the people",
+    )
+
+
+SOURCE_FILES = SourceOptions.model_fields.keys() - AnnotationCommon.model_fields.keys()
+"""Keys of files that a shard has the content of."""
 
 
 class AnnotationOptions(SourceOptions):
@@ -120,6 +129,7 @@ class AnnotationParameters(AnnotationCommon):
         people: Rows of the table of who is who that are about its sequences.
         take_seconds: Only so much from the start of each sequence; None: all of it.
         own_layout: TOML of a keypoint layout of the user's own, None without.
+        calibration: TOML of a calibration, and the table of this camera in it; None without.
     """
 
     is_held_out: bool
@@ -129,6 +139,7 @@ class AnnotationParameters(AnnotationCommon):
     people: tuple[str, ...]
     take_seconds: float | None = None
     own_layout: str | None = None
+    calibration: tuple[str, str] | None = None
 
     def keypoint_layout(self) -> str | KeypointLayout:
         """Return the layout of the files: its name, "auto", or the user's own."""

@@ -15,7 +15,7 @@ from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, check_sequences, read_decisions, write_decisions
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
 from tasks.ingest.files import find_file, load_file, read_again
-from tasks.ingest.poses2d.parameters import AnnotationOptions, AnnotationParameters
+from tasks.ingest.poses2d.parameters import SOURCE_FILES, AnnotationOptions, AnnotationParameters
 from tasks.ingest.poses2d.readers import CameraFiles, find_cameras, read_header, video_beside
 from tasks.stage import SourceFile
 
@@ -179,7 +179,7 @@ def _find_camera(
     header = UNKNOWN if video is None else read_header(video)
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
     parameters = AnnotationParameters(
-        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched", "layout_file"}),
+        **options.model_dump(exclude={"id", "path", "format", "is_watched", *SOURCE_FILES}),
         id=f"{options.id}.{name}" if name else options.id,
         format=camera.format,
         is_held_out=is_held_out,

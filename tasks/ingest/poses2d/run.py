@@ -89,6 +89,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
             camera_height_m=parameters.camera_height_m,
             statures_m=dict(parameters.statures_m),
             **({"camera_of": parameters.camera_of} if parameters.camera_of else {}),
+            **({"calibration": parameters.calibration} if parameters.calibration else {}),
             couples=tuple(
                 CoupleFact(
                     sequence_id=sequence.sequence_id,

@@ -8,7 +8,7 @@ know both the store and the science.
 from __future__ import annotations
 
 import html
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
@@ -28,6 +28,7 @@ from pasdedeux.people.names import person_names
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
 from pasdedeux.spread import evenly_spread
+from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, Store, TableData, iter_rows, open_table, parse_reference, resolve
 from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
@@ -52,9 +53,15 @@ _MAX_PLAYERS = 12
 _OF_PAIRS = ("draws", "seeds", "lifted_pairs", "in_betweens")
 
 
-def player_page(title: str, pictures: Sequence[Picture], paragraphs: Sequence[str] = ()) -> str:
-    """Return moving people, below what is said of them, as one HTML file that needs no other."""
-    return render("players.html", title=title, pictures=pictures, paragraphs=paragraphs)
+def player_page(
+    title: str,
+    pictures: Sequence[Picture],
+    paragraphs: Sequence[str] = (),
+    verdicts: Mapping[str, Verdict] | None = None,
+) -> str:
+    """Return moving people, below the verdicts on them (the worst first) and paragraphs, as one self-contained file."""
+    ranked = sorted((verdicts or {}).items(), key=lambda named: -named[1].level.rank)
+    return render("players.html", title=title, pictures=pictures, paragraphs=paragraphs, verdicts=ranked)
 
 
 @dataclass(frozen=True)

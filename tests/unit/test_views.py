@@ -611,6 +611,13 @@ def test_files_of_two_cameras_become_one_motion(tmp_path: Path, capsys: pytest.C
     assert (page.problems, page.outside) == ([], [])
     assert [panel["is_flat"] for panel in page.scenes[0]["panels"]] == [True, True, False]
     assert "Camera side: " in page.text
+    # What is judged stands above what moves, the worst first.
+    shown = re.findall(r'<li class="(.*?)">.*?</span> <b>(.*?), expected error (\d+.*?)</b>', page.text)
+    assert {name for _, name, _ in shown} == {"person 0", "person 1", "place of 0 and 1"}
+    assert [level for level, _, _ in shown] == sorted(
+        (level for level, _, _ in shown), key=lambda one: -Level(one).rank
+    )
+    assert page.text.index(shown[-1][1]) < page.text.index("<canvas")
     assert run_command_line([*command, "--camera", side, "--person", "0"]) == 0
     said = capsys.readouterr()
     assert re.search(r"camera side: person \d was left out: matches nobody reconstructed from camera front", said.err)

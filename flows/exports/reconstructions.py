@@ -97,7 +97,7 @@ def write_reconstruction(
         cameras: The cameras where there are several.
     """
     out.mkdir(parents=True, exist_ok=True)
-    names, people, motion = FileNames(out), reconstruction.people, footage[0].motion
+    names, people = FileNames(out), reconstruction.people
     cameras = cameras or [seen_alone(people)]
     placed_m = upright_m(people)
     rows: list[tuple[str, ...]] = []
@@ -105,8 +105,7 @@ def write_reconstruction(
         human = people.motions[name]
         path = write_text(names.path(sequence.sequence_id, name, suffix=".bvh"), human.bvh(units))
         frames = human.first_frame + np.arange(human.motion.num_frames)
-        steady = {} if motion is None else {"steady_from_image": motion.at(frames)}
-        facts = {**people.camera_facts, **camera_facts(cameras, placed_m), **steady}
+        facts = {**people.camera_facts, **camera_facts(cameras, placed_m), **_steady_facts(cameras, footage, frames)}
         path.with_suffix(".npz").write_bytes(write_npz(human, **facts))
         (track,) = (person.track for person in people.methods[-1].people if person.person_id == name)
         rows.append(
@@ -154,6 +153,22 @@ def write_reconstruction(
     }
     write_text(page, player_page(sequence.sequence_id, pictures, said, verdicts))
     return WrittenReconstruction(rows, decisions, page)
+
+
+def _steady_facts(cameras: Sequence[SeenBy], footage: Sequence[Footage], frames: Integers) -> dict[str, Array]:
+    """Return the homographies to the steady images at frames of the first camera, where a camera moves.
+
+    They are `steady_from_image` (frame, 3, 3) of the first camera and, of several, `cameras_steady_from_image`
+    (camera, frame, 3, 3) at the nearest frame of each; the identity where one does not move.
+    """
+    times_s, matrices = cameras[0].first_time_s + frames / cameras[0].rate_hz, []
+    for seen, shot in zip(cameras, footage, strict=True):
+        theirs = np.rint((times_s - seen.first_time_s) * seen.rate_hz).astype(np.int64)
+        matrices.append(np.tile(np.eye(3), (len(frames), 1, 1)) if shot.motion is None else shot.motion.at(theirs))
+    facts = {} if footage[0].motion is None else {"steady_from_image": matrices[0]}
+    if len(cameras) > 1 and any(shot.motion is not None for shot in footage):
+        facts["cameras_steady_from_image"] = np.stack(matrices)
+    return facts
 
 
 def _glb(people: ReconstructedPeople, cameras: Sequence[SeenBy]) -> bytes:

@@ -522,6 +522,31 @@ def test_the_film_on_the_page_is_the_middle_of_what_it_has_of_the_take(
         assert page_with(together, found, tmp_path / "out", later_s=later_s).figures == []
 
 
+def test_files_have_the_steady_images_of_all_cameras_by_their_own_clocks(
+    together: SeenTogether, seen: list[Seen], tmp_path: Path
+) -> None:
+    """The second camera pans by a pixel a frame: which frame it was shows in each matrix."""
+    first, second = together.cameras
+    pan = np.tile(np.eye(3), (60, 1, 1))
+    pan[:, 0, 2] = np.arange(60.0)
+    write_reconstruction(
+        Reconstruction(together.people, together.judged),
+        write_side(tmp_path, seen[1], 24).resolve().sequences[0],
+        tmp_path / "out",
+        units="cm",
+        footage=[Footage(), Footage(CameraMotion(0, pan, SIZE_PX))],
+        cameras=[first, second],
+    )
+    motion = read_npz(next((tmp_path / "out").glob("*_0.npz")).read_bytes(), "the motion")
+    steady = motion["cameras_steady_from_image"]
+    assert "steady_from_image" not in motion
+    np.testing.assert_array_equal(steady[0], np.broadcast_to(np.eye(3), steady[0].shape))
+    late = int(np.rint(second.offset_s * 30.0))
+    assert abs(late) > 5
+    expected = np.clip(np.arange(len(steady[1])) + late, 0, 59)
+    np.testing.assert_array_equal(steady[1, :, 0, 2], expected)
+
+
 def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_shows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -46,7 +46,8 @@ class SeenBy:
         width, focal_px = self.camera.image_size_px[0], self.camera.focal_px
         distance_m = np.linalg.norm(self.camera.position_m - np.nanmean(upright_m, axis=(0, 1, 2)))
         across = np.rad2deg(2.0 * np.arctan(0.5 * width / focal_px))
-        clock = f", its clock {self.offset_s:+.2f} s, {np.rad2deg(self.angle_rad):.0f} degrees from the first camera"
+        offset_s = round(self.offset_s, 2) + 0.0  # no -0.00
+        clock = f", its clock {offset_s:+.2f} s, {np.rad2deg(self.angle_rad):.0f} degrees from the first camera"
         return (
             f"camera {self.name}: {distance_m:.1f} m from the people, lens {focal_px:.0f} px ({across:.0f} degrees)"
             f"{clock if self.offset_s or self.angle_rad else ''}; joints are {self.off_px(upright_m):.1f} px (median) "

@@ -211,10 +211,8 @@ def _over_film(
     numbers = np.arange(max(int(ends[0]), first), min(int(ends[1]), last) + 1)
     if not len(numbers):
         return [], seen.rate_hz
-    flat = placed_m.reshape(len(times_s), -1)
-    moments_s = seen.first_time_s + numbers / seen.rate_hz
-    moved_m = np.stack([np.interp(moments_s, times_s, values) for values in flat.T], axis=-1)
-    px = shot.image_px(numbers, seen.camera.project(moved_m.reshape(len(numbers), *placed_m.shape[1:])).px)
+    at = (seen.first_time_s + numbers / seen.rate_hz - times_s[0]) * tracks[0].track.rate_hz
+    px = shot.image_px(numbers, seen.camera.project(_between_frames(placed_m, at)).px)
     frame, person = (index.reshape(-1) for index in np.indices(px.shape[:2]))
     is_there = np.isfinite(px).all(axis=(2, 3)).reshape(-1)
     ids = np.array([track.person_id for track in tracks])
@@ -235,6 +233,17 @@ def _over_film(
             size = [max(1, round(side * min(1.0, _FILM_PX / max(drawn.shape[:2])))) for side in drawn.shape[1::-1]]
             images.append(np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_AREA), dtype=np.uint8))
     return images, shown_hz
+
+
+def _between_frames(positions_m: Array, at: Array) -> Array:
+    """Return joints (frame, *batch) at frames (n,) that may lie between two; there are none beside a frame of NaN.
+
+    A frame off by rounding is that frame: somebody who leaves after it is still there.
+    """
+    at = np.where(np.abs(at - np.round(at)) < 1e-6, np.round(at), at)
+    flat = positions_m.reshape(len(positions_m), -1)
+    moved = [np.interp(at, np.arange(len(flat)), values) for values in flat.T]
+    return np.stack(moved, axis=-1).reshape(len(at), *positions_m.shape[1:])
 
 
 def _in_words(verdict: Verdict) -> str:

@@ -77,7 +77,7 @@ def time_strip(is_there: Flags, levels: Integers | None, gap_m: Array | None) ->
         rows.append(np.array([(170, 200, 170), (230, 170, 40), _RED])[levels])
     if not rows:
         return None
-    columns = np.linspace(0, len(is_there) - 1, _WIDTH).round().astype(int)
+    columns = np.linspace(0, len(is_there) - 1, 2 * _WIDTH).round().astype(int)
     return np.repeat(np.stack(rows)[:, columns], 12, axis=0).astype(np.uint8)
 
 

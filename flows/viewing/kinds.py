@@ -127,6 +127,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         nearest=partial(_nearest_poses, store, manifest.ref, grid.fill(data["op14_m"])),
         facts=(
             *(f"{name}: {verdict_words(verdict)}" for name, verdict in verdicts_of_parts(manifest).items()),
+            *facts.cameras,
             f"persons {', '.join(map(str, grid.persons))}; to correct identities, set people_file = "
             '"people.csv" of the source in the study',
         ),

@@ -30,7 +30,12 @@ _POLICY = (
 )
 
 
-_HEAD = """<title>pasdedeux</title><script>
+STRIP_LEFT_PX = 15
+"""Distance of the timeline from the left and the lower edge of the window; the page knows its panel by it."""
+_HEAD = """<title>pasdedeux</title><style>
+[data-floating-window][style*="left: STRIPpx"] { width: calc(100vw - 365px) !important; }
+[data-floating-window][style*="left: STRIPpx"] img { width: calc(100% - 167px); margin-left: 111px; }
+</style><script>
 document.documentElement.addEventListener("keydown", (event) => {
   if (event.key.startsWith("Arrow")) event.stopPropagation();
 });
@@ -59,8 +64,11 @@ addEventListener("pointerdown", (event) => {
 addEventListener("pointermove", (event) => { if (held) tell("move", event); }, true);
 addEventListener("pointerup", (event) => { if (held) tell("up", event); held = null; }, true);
 addEventListener("dragstart", (event) => { if (held) event.preventDefault(); }, true);
-</script>""".replace("LABEL", DRAG_LABEL)
-"""Viser turns its camera with the arrow keys, listening at the document; commands listen at the element below it.
+</script>""".replace("LABEL", DRAG_LABEL).replace("STRIP", str(STRIP_LEFT_PX))
+"""Viser gives a panel a width in pixels; the timeline is as wide as the room beside the panel on the right (320 px),
+and the strip in it lies below the slider, between its label and its number.
+
+Viser turns its camera with the arrow keys, listening at the document; commands listen at the element below it.
 
 Of its pictures it tells no clicks, so the page tells the pointer over the one in which joints can be dragged.
 """

@@ -1,4 +1,4 @@
-"""The top of the panel: the item, its frame, and the way it is drawn."""
+"""The top of the panel: the item and the way it is drawn; and the timeline below the room."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from flows.viewing.curves import TICKS, time_strip
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.room import COMPARE, MOST_BESIDE, VIEWS
 from flows.viewing.scene import Scene
+from flows.viewing.server import STRIP_LEFT_PX
 from flows.viewing.session import Session
 from flows.viewing.shelf import Part
 from flows.viewing.side import SidePicture, flat_picture
@@ -59,12 +60,17 @@ class ShownPane:
     def build(cls, panel: Panel, viewer: Session) -> Self:
         """Add the widgets to the panel, and the keys that move through frames and items."""
         gui = panel.gui
+        strip = gui.add_panel()  # below the room, as wide as that (`server.py`)
+        with strip.add_tab("Time"):
+            timeline = gui.add_slider("frame", 0, 1, 1, initial_value=0)
+            ticks = gui.add_image(flat_picture([]), label=TICKS, visible=False)
+        strip.float(x=STRIP_LEFT_PX, y=-STRIP_LEFT_PX)
         pane = cls(
             part=gui.add_dropdown("show", tuple(map(part_label, viewer.shelf.parts))),
             item=gui.add_dropdown("item", ("none",)),
             play=panel.button("Play", lambda _: viewer.play(), "space"),
-            timeline=gui.add_slider("frame", 0, 1, 1, initial_value=0),
-            ticks=gui.add_image(flat_picture([]), label=TICKS, visible=False),
+            timeline=timeline,
+            ticks=ticks,
             facts=gui.add_text("about", "", multiline=True, disabled=True),
             more=Folded(gui, "More figures"),
             side=SidePicture(gui),

@@ -85,13 +85,14 @@ def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
     """Score one sequence; one without ground truth is only shown."""
     motions, annotations = shard.ref("motions"), shard.refs("annotations")
     facts = MotionFacts.of(store.manifest(motions))
+    notes = [f"{shard.name}: {words}." for words in facts.cameras]
     refuse_overlap(f"the projection database of sequence {shard.name}", facts.database_takes, facts.sequence_takes)
     try:
         if not annotations:
             raise InputError("a video without ground truth")
         people, truth, film = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     except InputError as error:
-        return TopicResult(notes=[f"{shard.name}: {error}; no scores."], shown=read_shown_motion(store, motions))
+        return TopicResult(notes=[*notes, f"{shard.name}: {error}; no scores."], shown=read_shown_motion(store, motions))
     split = (
         "held_out" if any(sequence.is_held_out for sequence in SequenceFacts.read(store, annotations)) else "annotated"
     )
@@ -104,7 +105,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
     items = {"": reconstruction_items(people)}
     rate_hz = rate_of(read_motion_rows(store, motions)["time_s"])
     shown = _shown(shard.name, people, _read_keypoints(store, annotations, shard.name), camera, rate_hz=rate_hz)
-    return TopicResult(scores, [] if film is None else [film.in_words()], items, BASELINES, shown)
+    notes += [] if film is None else [film.in_words()]
+    return TopicResult(scores, notes, items, BASELINES, shown)
 
 
 def read_reconstructed(

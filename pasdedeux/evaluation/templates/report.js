@@ -106,7 +106,7 @@ class Player {
     this.slider.addEventListener("input", () => { this.pause(); this.show(Number(this.slider.value)); });
     this.button.addEventListener("click", () => (this.isPlaying ? this.pause() : this.play()));
     figure.querySelector("select").addEventListener("change", (event) => { this.speed = Number(event.target.value); });
-    figure.querySelector("button.home").addEventListener("click", () => { [this.yaw, this.pitch, this.zoom] = [...this.home, 1]; this.draw(); });
+    figure.querySelector("button.home").addEventListener("click", () => this.goHome(figure.querySelector("select.view")));
     for (const [name, factor] of [["nearer", 1.25], ["farther", 0.8]])
       figure.querySelector(`button.${name}`).addEventListener("click", () => this.enlarge(factor));
     this.canvas.addEventListener("wheel", (event) => {  // with Ctrl, or two fingers: the page scrolls else
@@ -124,6 +124,13 @@ class Player {
     [this.yaw, this.pitch, this.zoom] = [...this.home, 1];
     this.chooseView(figure.querySelector("select.view"));
     new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  goHome(list) {
+    list.selectedIndex = 0;  // of several cameras: all
+    this.shown = this.scene.panels;
+    [this.yaw, this.pitch, this.zoom] = [...this.home, 1];
+    this.draw();
   }
 
   // Of several cameras one is shown, beside the room as it sees it, or all of them.

@@ -92,7 +92,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
             raise InputError("a video without ground truth")
         people, truth, film = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     except InputError as error:
-        return TopicResult(notes=[*notes, f"{shard.name}: {error}; no scores."], shown=read_shown_motion(store, motions))
+        notes.append(f"{shard.name}: {error}; no scores.")
+        return TopicResult(notes=notes, shown=read_shown_motion(store, motions))
     split = (
         "held_out" if any(sequence.is_held_out for sequence in SequenceFacts.read(store, annotations)) else "annotated"
     )

@@ -15,7 +15,7 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.console.cameras import camera_names
-from flows.exports.reconstructions import Footage, write_reconstruction
+from flows.exports.reconstructions import Footage, _between_frames, write_reconstruction
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.formats.calibration import choose_cameras, read_calibration
@@ -508,6 +508,15 @@ def test_the_page_shows_the_film_of_a_camera_with_another_clock(
     np.testing.assert_allclose(
         [drawn.min(axis=0), drawn.max(axis=0)], [true_px.min(axis=0), true_px.max(axis=0)], atol=20
     )
+
+
+def test_somebody_who_leaves_is_drawn_over_film_up_to_the_last_frame() -> None:
+    """A clock off by rounding asks for a moment just after that frame, between it and one without that person."""
+    places_m = np.tile(np.arange(4.0)[:, None, None], (1, 2, 3))
+    places_m[3:, 1] = np.nan
+    moved_m = _between_frames(places_m, np.array([2.0 + 1e-9, 1.5, 2.5]))
+    np.testing.assert_array_equal(moved_m[:, 1], [[2.0] * 3, [1.5] * 3, [np.nan] * 3])
+    np.testing.assert_array_equal(moved_m[2, 0], [2.5] * 3)
 
 
 def test_the_film_on_the_page_is_the_middle_of_what_it_has_of_the_take(

@@ -1,7 +1,8 @@
 """Draw mutants of the committed packages and tell how many of them the tests notice.
 
-`python -m tests.mutants [--number 100] [--seed 0]`.  Which tests run which lines is recorded once for a commit, in
-`.mutants/`; there, each judged mutant is a line of a file as well, so that a stopped run goes on where it was.
+`python -m tests.mutants [--number 100] [--seed 0] [--packages tasks flows]`.  Which tests run which lines is recorded
+once for a commit, in `.mutants/`; there, each judged mutant is a line of a file as well, so that a stopped run goes on
+where it was.
 """
 
 from __future__ import annotations
@@ -30,7 +31,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--number", type=int, default=100, help="how many mutants (100)")
     parser.add_argument("--seed", type=int, default=0, help="another seed draws others (0)")
+    parser.add_argument(
+        "--packages", nargs="+", choices=PACKAGES, default=PACKAGES, metavar="PACKAGE", help="draw only in these (all)"
+    )
     arguments = parser.parse_args()
+    packages = tuple(name for name in PACKAGES if name in arguments.packages)
     commit = _said("git", "rev-parse", "--short=12", "HEAD")
     folder = ROOT / ".mutants" / commit
     copy, lines = folder / "copy", folder / "lines.jsonl"
@@ -39,10 +44,11 @@ def main() -> None:
     if not lines.exists():
         say("recording which tests run which lines, once for this commit")
         _record(copy, lines)
-    results = folder / f"seed-{arguments.seed}.jsonl"
+    named = "" if packages == PACKAGES else f"-{'-'.join(packages)}"
+    results = folder / f"seed-{arguments.seed}{named}.jsonl"
     known = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
     judge = Judge(copy, Tests(lines), folder)
-    mutants = draw(copy, PACKAGES, arguments.number, arguments.seed)
+    mutants = draw(copy, packages, arguments.number, arguments.seed)
     outcomes = [Outcome(**entry["outcome"]) for entry in known[: len(mutants)]]
     for number, mutant in enumerate(mutants[len(outcomes) :], start=len(outcomes) + 1):
         outcome = judge.judge(mutant)

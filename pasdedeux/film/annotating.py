@@ -175,7 +175,7 @@ def correct_keypoint(
     # Only this keypoint is taken from the part: it is lost where the part has none, and a frame in which nothing else
     # of the person is seen gains or loses its row with it.
     near = np.flatnonzero(is_near)
-    px[near, keypoint], confidence[near, keypoint], status[near, keypoint] = np.nan, 0.0, KeypointStatus.MISSING
+    px[near, keypoint] = np.nan
     is_gained = ~np.isin(part.frames.frame, frames.frame[near])
     rows, again = near[np.isin(frames.frame[near], part.frames.frame)], part.frames.rows(~is_gained)
     assert again.status is not None

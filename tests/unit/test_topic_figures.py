@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, kernel_interval
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
+from pasdedeux.reconstruction.film_alignment import FilmAlignment
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
-from tasks.evaluation import generation, lifting, models, reconstruction
+from tasks.evaluation import generation, lifting, models, realism, reconstruction
 from tasks.evaluation.coverage import curve_points
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
@@ -329,6 +331,58 @@ def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_
     np.testing.assert_allclose(items.times_s, np.tile(np.arange(1, FRAMES) / RATE_HZ, 2))
 
 
+def test_people_of_film_are_scored_at_the_moments_that_its_take_has_by_the_clock_of_the_take(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second of film is two of the take, which has 5 of its 8 frames; person 7 is A, person 3 is B."""
+    takes, videos, poses = put_truth(store, "op14_m")
+    frames, turn = np.arange(8), TURNS["film hidden"]
+    camera = GroundTruth.read(store, [], [videos[1].ref]).cameras["film hidden"]
+    aligned = FilmAlignment(camera, person_ids=(7, 3), offset_s=0.1, rate=2.0, residual=0.01)
+    asked: list[Any] = []
+    monkeypatch.setattr(reconstruction, "align_film", lambda *given: asked.append(given) or aligned)
+    film = {"sequence_id": ["film"] * 16, "person_id": np.repeat([3, 7], 8), "frame": np.tile(frames, 2)}
+    film |= {"time_s": film["frame"] / RATE_HZ}
+    seen = random_columns("annotations", 16) | film | {"partner_id": np.repeat([7, 3], 8)}
+    seen |= {"op14_px": np.zeros((16, 14, 2)), "image_width_px": [640] * 16, "image_height_px": [480] * 16}
+    seen |= {"op14_confidence": np.ones((16, 14))}
+    facts = {"kind": "sequences", "sequence_ids": ["film"], "takes": ["hidden"], "num_persons": 2, "rate_hz": RATE_HZ}
+    video = put(store, "ingest", "film", {"annotations": seen | {"focal_px": [500.0] * 16}}, facts)
+    true = poses["hidden"][np.minimum(2 + 2 * frames, FRAMES - 1)] @ turn.T
+    found = np.concatenate([true[:, 1] + [0.0, 0.0, 0.4], true[:, 0]])
+    rows = random_columns("motions", 16) | film | {"method": ["windows"] * 16, "op14_m": found}
+    facts = {"kind": "motions", "sequence_ids": ["film"], "sequence_takes": ["hidden"], "pitch_deg": 12.0}
+    motions = put(store, "reconstruction", "film", {"motions": rows}, facts, (video,))
+    manifests = {"motions": [motions], "annotations": [*videos, video], "poses": takes}
+    (shard,) = reconstruction.TOPIC.plan(StageInputs(manifests=manifests, seed=3), reconstruction.Parameters())
+    result = reconstruction.TOPIC.compute(shard, store)
+    assert result.notes == [aligned.in_words()]
+    ((tracks, motion_m, rate_hz),) = asked
+    assert ([track.person_id for track in tracks], rate_hz) == ([3, 7], RATE_HZ)
+    np.testing.assert_allclose(motion_m, poses["hidden"])
+    scores = {name[::3]: one for name, one in by_name(result.scores).items() if name[1] in ("windows", "truth")}
+    assert {one.split for one in result.scores} == {"annotated"}
+    for item in ("film person 3", "film person 7"):
+        assert scores["error_root_kept", item].value == pytest.approx(0.0, abs=1e-6)
+        assert scores["error_root_kept", item].count == 5
+    assert scores["pair_depth_error", "film person 3 with 7"].value == pytest.approx(0.4, abs=1e-6)
+    figures = {"clock_offset": (0.1, "s"), "clock_rate": (2.0, ""), "image_residual": (0.01, "")}
+    figures |= {"camera_pitch_error": (12.0, "deg")}
+    for metric, figure in figures.items():
+        assert (scores[metric, "film"].value, scores[metric, "film"].unit) == pytest.approx(figure)
+    assert list(result.items[""].takes) == ["hidden"] * 10
+    np.testing.assert_allclose(result.items[""].times_s, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], 2))
+    nobody = replace(aligned, person_ids=(8, 9))
+    monkeypatch.setattr(reconstruction, "align_film", lambda *_: nobody)
+    assert reconstruction.TOPIC.compute(shard, store).notes == [
+        "film: nobody of its take was reconstructed; no scores."
+    ]
+    (unknown,) = reconstruction.TOPIC.plan(
+        StageInputs(manifests=manifests | {"poses": []}, seed=3), reconstruction.Parameters()
+    )
+    assert "(take_id) has no poses; no scores." in reconstruction.TOPIC.compute(unknown, store).notes[0]
+
+
 def test_what_is_shown_of_a_reconstruction_is_its_last_method_with_the_image_of_each_person(store: Store) -> None:
     takes, videos, poses = put_truth(store, "op14_m")
     motions = put_motion(store, poses, 0.3)
@@ -348,8 +402,6 @@ def test_what_is_shown_of_a_reconstruction_is_its_last_method_with_the_image_of_
 
 
 def _without_first(person: Any) -> Any:
-    from dataclasses import replace
-
     found = {name: values[1:] for name, values in person.found_m.items()}
     return replace(
         person, truth_m=person.truth_m[1:], found_m=found, frames=person.frames[1:], times_s=person.times_s[1:]
@@ -401,6 +453,54 @@ def test_models_are_compared_with_what_the_solver_made_of_the_other_half() -> No
         assert (share.unit, share.count) == ("%", 36)
     alone = by_name(_compare(Features(), made, first, [], split="s test", item="all"))  # type: ignore[arg-type]
     assert {metric for metric, *_ in alone} == {"recognised"}
+
+
+class Interactions(Features):
+    """Stands for the classifier of these interactions."""
+
+    labels = ("waltz", "hug")
+
+    def __init__(self, real: Mapping[str, np.ndarray]) -> None:
+        self.learned = {kind: found.shape for kind, found in real.items()}
+        self.digest = "0" * 8
+
+
+def test_a_model_that_gives_what_the_solver_gives_scores_as_the_solver(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Variant v0 is its take: so is what is copied from it.  The held-out take is not learned from."""
+    made: list[Interactions] = []
+    monkeypatch.setattr(
+        "pasdedeux.learning.networks.clip_classifier.train_classifier",
+        lambda real, *_: made.append(Interactions(real)) or made[-1],
+    )
+    is_held_out = {"waltz": False, "hug": False, "judo": True}
+    clips_of_takes = {
+        name: put_clips(store, name, 1, 90, ["v0"], is_held_out=held) for name, held in is_held_out.items()
+    }
+    takes, variants = (list(one) for one in zip(*clips_of_takes.values(), strict=True))
+    test = {name: ["v0"] for name in is_held_out}
+    model = put_model(store, CopyModel(), "random", takes, test)
+    manifests = {"models": [model], "poses": takes, "variants": variants}
+    settings = realism.LearnedSettings(num_realism_variants=3)
+    inputs = StageInputs(manifests=manifests, seed=3)
+    (shard,) = realism.TOPIC.plan(inputs, settings)
+    result = realism.TOPIC.compute(shard, store)
+    assert made[0].learned == {"waltz": (3, 20, 2, 22, 3), "hug": (3, 20, 2, 22, 3)}
+    found = by_name(result.scores)
+    assert {one.split for one in result.scores} == {"random test"}
+    for (metric, method, split, item), score in found.items():
+        twin = found[metric, "copy" if method == "solver" else "solver", split, item]
+        assert (score.value, score.count, score.low) == pytest.approx((twin.value, twin.count, twin.low), nan_ok=True)
+    assert found["recognised", "copy", "random test", "all"].count == 6, "3 clips of each kind that it knows"
+    assert result.notes[-1] == "Split random: the classifier learned from 2 of the 3 test takes."
+    assert result.notes[-2] == "Takes of the classifier: hug, waltz."
+    alone = StageInputs(manifests=manifests | {"poses": takes[:1]}, seed=3)
+    for given, options in ((alone, settings), (inputs, realism.LearnedSettings())):
+        assert realism.TOPIC.plan(given, options) == []
+    (one_kind,) = realism.TOPIC.plan(StageInputs(manifests=manifests | {"poses": takes[1:]}, seed=3), settings)
+    skipped = realism.TOPIC.compute(one_kind, store)
+    assert (list(skipped.scores), len(skipped.notes), len(made)) == ([], 1, 1)
 
 
 def test_generated_motion_is_compared_with_half_of_the_real_clips_of_its_takes() -> None:

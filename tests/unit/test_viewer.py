@@ -39,6 +39,7 @@ from flows.viewing.viewer import Viewer
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import KeypointStatus
+from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.plausibility.capsules import standing_m
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -170,6 +171,38 @@ def annotated(store: Store, name: str, places: dict[str, list[object]], points_p
     return put(
         store, "ingest", name, {"annotations": columns | {"pair17_px": points_px}}, facts.model_dump(mode="json")
     )
+
+
+def test_2d_poses_are_saved_as_they_are_but_for_who_was_changed_in_the_frame_of_the_change(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    places = {
+        "sequence_id": ["walk"] * 6,
+        "frame": [0, 0, 1, 1, 2, 2],
+        "time_s": np.repeat(np.arange(3) / 30.0, 2),
+        "person_id": [9, 4] * 3,
+        "partner_id": [4, 9] * 3,
+    }
+    points, confidence = rng.uniform(50.0, 400.0, (6, 17, 2)), rng.uniform(0.2, 1.0, (6, 17))
+    points[0, 3], confidence[0, 3] = np.nan, 0.0
+    store = Store(tmp_path / "store")
+    shown = Viewer(Shelf(store, [annotated(store, "walk", places | {"pair17_confidence": confidence}, points).ref]))
+    try:
+        editor = Editor(shown, tmp_path / "out")
+        editor._is_on.value = True
+        editor._begin()
+        shown.seek(1)
+        drag = shown.side.on_drag
+        assert drag is not None
+        drag(Dragged(1, PAIR17.index("left_wrist"), np.array([123.0, 45.0]), is_last=True))
+        saved = read_annotation_csv(editor.save().read_bytes())
+    finally:
+        shown.stop()
+    points[2, PAIR17.index("left_wrist")] = 123.0, 45.0  # the second person is who has the larger number
+    order = [1, 0, 3, 2, 5, 4]
+    assert (saved.frame.tolist(), saved.person_id.tolist()) == ([0, 0, 1, 1, 2, 2], [4, 9] * 3)
+    np.testing.assert_allclose(saved.keypoints_px, points[order], atol=5.1e-3)  # the file has 0.01 px
+    np.testing.assert_allclose(saved.confidence, confidence[order], atol=5.1e-4)
+    assert (saved.image_size_px, saved.rate_hz) == ({"walk": (640, 480)}, 30.0)
 
 
 def test_a_reconstruction_is_located_by_who_was_seen_whoever_else_was_there(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pasdedeux.evaluation.verdicts import FEWEST_BLOCKS
 from tasks.graph import Graph, load_graph
 from tasks.ingest import IngestParameters
 from tasks.stage import Parameters, Stage
+from tasks.sweep import merged
 from tests.builders.toys import TOYS, plan_aside, run_aside
 
 
@@ -83,6 +84,14 @@ def test_unknown_keys_are_named_with_the_nearest_known_name(tmp_path: Path) -> N
     assert any("grow.num_take: unknown; did you mean num_takes?" in p for p in found)
     assert any("bent: unknown; did you mean bend?" in p for p in found)
     assert "did you mean duets?" in problems("duetts")[0]
+
+
+def test_a_sweep_merges_tables_and_replaces_everything_else() -> None:
+    base = {"kept": 1, "table": {"x": 1, "in": {"y": 2, "z": 3}}, "list": [1, 2], "none": None, "was": {"x": 1}}
+    own = {"table": {"in": {"y": 4}}, "list": [5], "none": {"x": 6}, "was": 7, "new": {"x": 8}}
+    replaced = {"list": [5], "none": {"x": 6}, "was": 7, "new": {"x": 8}}
+    assert merged(base, own) == {"kept": 1, "table": {"x": 1, "in": {"y": 4, "z": 3}}} | replaced
+    assert base["table"] == {"x": 1, "in": {"y": 2, "z": 3}}, "other sweeps begin with it again"
 
 
 @pytest.mark.parametrize(

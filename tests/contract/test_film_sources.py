@@ -13,6 +13,7 @@ import tracemalloc
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -119,11 +120,19 @@ def web_film(folder: Path, *, stated_times: float = 1.0, share: float = 1.0) -> 
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_only_a_film_that_is_cut_off_lacks_frames(film: Path, tmp_path: Path) -> None:
+def test_only_a_film_that_is_cut_off_lacks_frames(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert open_film(web_film(tmp_path)).num_lost == 0
     assert open_film(web_film(tmp_path, stated_times=3.0)).num_lost == 0, "its sound goes on"
     cut = open_film(web_film(tmp_path, share=0.6))
     assert cut.num_lost == 50 - cut.num_frames > 5
+    keys, rows = tmp_path / "cut.csv", product((0, 1), enumerate(NAMES))
+    places = "".join(f"{frame},0,{name},{20 + 4 * at},{30 + 3 * at}\n" for frame, (at, name) in rows)
+    keys.write_text(f"# layout: coco17\nframe,person,joint,x,y\n{places}")
+    words = ["annotate", str(tmp_path / "web.webm"), "--keys", str(keys), "--out", str(tmp_path / "out.csv")]
+    assert run_command_line(words) == 0
+    assert f"web.webm states {cut.num_lost} frames more than can be read" in capsys.readouterr().err
     uneven = tmp_path / "uneven.mp4"
     uneven.write_bytes(with_durations(film.read_bytes(), np.where(np.arange(COUNT) % 4 == 0, 3, 1) / 30.0))
     assert open_film(uneven).num_lost == 0

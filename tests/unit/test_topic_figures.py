@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.reconstruction.film_alignment import FilmAlignment
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
-from tasks.evaluation import generation, lifting, models, realism, reconstruction
+from tasks.evaluation import generation, lifting, models, realism, reconstruction, sets
 from tasks.evaluation.coverage import curve_points
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
@@ -29,7 +30,7 @@ from tasks.stage import StageInputs
 from tasks.takes import read_take
 from tests.builders.drawn_stores import Drawn, drawn_store
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
-from tests.builders.storage_rows import put, random_columns
+from tests.builders.storage_rows import put, random_columns, take_rows
 from tests.builders.stored_datasets import put_clips
 from tests.builders.stored_models import put_model
 
@@ -186,6 +187,22 @@ def test_frames_between_have_the_errors_of_their_span(store: Store, monkeypatch:
     frames = [first + 1, second + 1, second + 2, second + 3]
     np.testing.assert_allclose(items.times_s, np.array(frames) / RATE_HZ)
     assert list(items.takes) == ["hidden"] * 4
+
+
+def test_a_held_out_take_of_the_priors_is_neither_covered_nor_among_the_real_frames(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    takes, *_ = put_truth(store)
+    rows = pairs_of(2).swapaxes(0, 1).reshape(-1, 17, 3)
+    columns, facts = take_rows("both", 2, FRAMES, rate_hz=RATE_HZ, is_held_out=True, pair17_m=rows)
+    both = put(store, "ingest", "both", {"poses": columns}, facts | {"is_prior": True})
+    draws = put_draws(store, "draws", np.concatenate([pairs_of(number) for number in range(5, 9)]))
+    shard = sets.TOPIC.shard(INPUTS, "sets", takes=[*takes, both], draws=[draws], chains=[], limits=[])
+    monkeypatch.setattr(sets, "select_pairs", lambda *_: SimpleNamespace(columns={}))
+    result = sets.TOPIC.compute(shard, store)
+    assert set(result.items[""].takes) == {"hidden"}
+    # Of the real frames, those of the one take that is learned from, half are a set and half are what it is held to.
+    assert {one.count for one in result.scores if one.method == "real_frames"} == {(FRAMES + 1) // 2}
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.body import REFERENCE_REST_M, SHARED
 from pasdedeux.reconstruction.errors import root_centred_error_m
+from pasdedeux.reconstruction.matching import Method
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import projections, reconstruction
@@ -224,6 +225,22 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     apart = [positions[(method == "viterbi") & (person == one)].mean(axis=(0, 1)) for one in (0, 1)]
     true_apart = truth[1].mean(axis=(0, 1)) - truth[0].mean(axis=(0, 1))
     np.testing.assert_allclose(apart[1] - apart[0], true_apart, atol=0.5)
+
+
+def test_a_film_of_a_take_is_made_with_a_level_camera_as_well_in_which_people_lean(store: Store) -> None:
+    built = build(store, [put_take(store, name) for name in "ab"])
+    video, _ = put_video(store, "film", ["held"], purpose="given")
+    (ref,) = reconstruct(store, [video], built, methods=(Method.NEAREST,))
+    table = store.read(ref, "motions")
+    method, lean_deg = np.array(table["method"]), {}
+    assert sorted(method) == ["level"] * 80 + ["nearest"] * 80 + ["nearest_clean"] * 80
+    for name in ("level", "nearest_clean"):
+        pose = np.asarray(table["op14_m"], dtype=float)[method == name]
+        up = (pose[:, OP14.index("neck")] - mid_hip(pose)).mean(axis=0)
+        lean_deg[name] = np.rad2deg(np.arctan2(up[2], up[1]))
+    pitch_deg = store.manifest(ref).facts["pitch_deg"]
+    assert pitch_deg > 5.0
+    assert lean_deg["nearest_clean"] - lean_deg["level"] == pytest.approx(pitch_deg, abs=1.0)
 
 
 def test_the_body_of_a_draw_does_not_depend_on_the_draws_beside_it() -> None:

@@ -13,6 +13,7 @@ import pytest
 from flows.viewing import kinds
 from flows.viewing.curves import plot_curves
 from flows.viewing.playing import PlayingPane
+from flows.viewing.room import across
 from flows.viewing.shelf import Shelf
 from flows.viewing.side import PAPER
 from flows.viewing.viewer import Viewer
@@ -55,15 +56,17 @@ def test_the_figure_is_that_of_the_frame_and_there_is_none_without_curves(viewer
 
 
 @pytest.mark.parametrize(
-    ("size", "across", "height", "down_deg"), [((1600, 900), -0.1, 0.33, 13.0), ((450, 900), 0.0, 0.175, 23.0)]
+    ("size", "middle", "height", "down_deg"), [((1600, 900), -0.1, 0.33, 13.0), ((450, 900), 0.0, 0.175, 23.0)]
 )
 def test_people_are_in_the_part_of_the_page_that_the_panel_leaves(
-    viewer: Viewer, size: tuple[int, int], across: float, height: float, down_deg: float
+    viewer: Viewer, size: tuple[int, int], middle: float, height: float, down_deg: float
 ) -> None:
     """On a wide page the panel is on the right; of a narrow one it takes the lower half."""
     camera = SimpleNamespace(image_width=size[0], image_height=size[1])
     viewer.room._aim(SimpleNamespace(camera=camera, atomic=nullcontext))
     ahead = (camera.look_at - camera.position) / np.linalg.norm(camera.look_at - camera.position)
+    flat = ahead[[0, 2]] / np.linalg.norm(ahead[[0, 2]])
+    assert -flat @ across(viewer.scene.people) > 0.995
     right = np.cross(ahead, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
     bodies = viewer.scene.people.positions_m[0].reshape(-1, 3) - camera.position
@@ -72,7 +75,7 @@ def test_people_are_in_the_part_of_the_page_that_the_panel_leaves(
     assert np.abs(x).max() < 1.0
     assert y.min() > (-1.0 if size[0] > size[1] else 0.0)
     assert y.max() < 1.0
-    assert (x.max() + x.min()) / 2 == pytest.approx(across, abs=0.05)
+    assert (x.max() + x.min()) / 2 == pytest.approx(middle, abs=0.05)
     tall_m = np.ptp(viewer.scene.people.positions_m[0, ..., 1])
     assert np.ptp(y) / 2 == pytest.approx(height * tall_m / 1.7, rel=0.1)
     assert np.rad2deg(np.arcsin(-ahead[1])) == pytest.approx(down_deg, abs=4.0)

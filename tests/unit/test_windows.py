@@ -24,10 +24,13 @@ from flows.console.app import run_command_line
 from pasdedeux.errors import InputError
 from pasdedeux.learning.normalising import Normaliser
 from pasdedeux.learning.shuffling import WindowOrder
-from storage_schema import CorruptArtifact, Store, open_table
+from storage_schema import TABLES, CorruptArtifact, Store, open_table
 from tasks.data import Data
+from tasks.unpacking import unpack_artifacts
 from tasks.windows import FIELDS, PairDataset, PairStream
 from tests.builders.drawn_stores import Drawn, drawn_store
+from tests.builders.storage_rows import put
+from tests.builders.stored_datasets import put_clips
 from tests.builders.toy_runs import ROOT
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -50,6 +53,21 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 @pytest.fixture
 def windows(store: Store) -> PairDataset:
     return PairDataset("variants:drawn", 5, store=store, stride=2, seed=SEED)
+
+
+def test_variants_that_have_other_frames_than_their_take_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    take, made = put_clips(store, "waltz", 1, 30, ["v0"])
+    for num_frames in (20, 40):
+        other = put_clips(store, f"of {num_frames} frames", 1, num_frames, ["v0"])[1]
+        tables = {
+            table: {column.name: store.read(other.ref, table)[column.name] for column in TABLES[table].columns}
+            for table in ("variants", "variant_quality")
+        }
+        wrong = put(store, "augmentation", f"wrong {num_frames}", tables, dict(made.facts), (take,))
+        with pytest.raises(InputError, match=r"take waltz do not have its 30 frames; build them again with --force"):
+            unpack_artifacts(store, [wrong.ref])
+    assert unpack_artifacts(store, [made.ref])
 
 
 def places(batches: Any) -> list[tuple[str, int]]:
@@ -276,6 +294,7 @@ def test_a_cut_file_of_the_cache_is_said(store: Store) -> None:
 
 _READ = """
 import resource, sys
+from tasks.unpacking import unpack_artifacts
 from tasks.windows import PairDataset, PairStream
 windows = PairDataset("variants:drawn", 30, store=sys.argv[1])
 stream = PairStream(windows, 64)

@@ -18,7 +18,6 @@ from flows.viewing.shelf import open_shelf
 from flows.viewing.side import DRAG_LABEL, Panel, picture_size
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
-from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, PAIR17
@@ -128,7 +127,7 @@ def test_a_dragged_joint_keeps_bones_and_the_seed_is_read_back(editor: Editor) -
     np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
 
 
-def test_a_corrected_2d_joint_is_lifted_again_and_saved_as_csv(editor: Editor) -> None:
+def test_a_corrected_2d_joint_is_lifted_again(editor: Editor) -> None:
     viewer = editor.viewer
     part_of(viewer, "annotations")
     editor._is_on.value = True
@@ -140,10 +139,6 @@ def test_a_corrected_2d_joint_is_lifted_again_and_saved_as_csv(editor: Editor) -
     editor.drag(editor.pose[0, joint] + np.array([0.3, 0.0, 0.0]))
     now = editor.image_px()
     assert np.abs(now - was)[0, joint, 0] > 10
-    frames = read_annotation_csv(editor.save().read_bytes())
-    own = frames.frame == 2
-    np.testing.assert_allclose(frames.keypoints_px[own][0, joint], now[0, joint], atol=5.1e-3)  # the file has 0.01 px
-    np.testing.assert_allclose(frames.keypoints_px[own][1], was[1], atol=1e-2)
     editor.lift()
     assert viewer.scene.behind is not None
     moved = np.linalg.norm(viewer.scene.people.positions_m - viewer.scene.behind.positions_m, axis=-1)

@@ -252,10 +252,7 @@ def test_a_corrected_keypoint_brings_a_person_into_frames_that_had_nothing_of_th
     assert (status[5:10, 0] > KeypointStatus.MISSING).all()
 
 
-@pytest.mark.parametrize("others", [0.0, 0.5])
-def test_a_corrected_keypoint_leaves_no_old_track_in_frames_that_the_new_one_does_not_reach(
-    waltz: Film, others: float
-) -> None:
+def test_a_corrected_keypoint_leaves_no_old_track_in_frames_that_the_new_one_does_not_reach(waltz: Film) -> None:
     shot = annotated(waltz, keys_of(waltz))
     frames = shot.frames
     is_late = (frames.frame > 20) & (frames.person_id == 1)
@@ -263,15 +260,13 @@ def test_a_corrected_keypoint_leaves_no_old_track_in_frames_that_the_new_one_doe
     assert frames.status is not None
     old = replace(
         frames,
-        confidence=np.where(is_late[:, None] & ~is_wrist, others, frames.confidence),
+        confidence=np.where(is_late[:, None] & ~is_wrist, 0.0, frames.confidence),
         status=np.where(is_late[:, None], KeypointStatus.TRACKED, frames.status),
     )
     corrected = corrected_wrist(waltz, AnnotatedShot(old, shot.doubt), 18)
-    is_lost = corrected.frame >= 40  # a track with one known end is believed for 0.3 s, 9 frames
-    is_own = corrected.person_id == 1
-    assert (is_own & is_lost).any() == (others > 0), "a row stays where something else of the person is seen"
-    assert (corrected.status[is_own & is_lost, WRIST] == KeypointStatus.MISSING).all()
-    assert set(range(19)) <= set(corrected.frame[is_own].tolist())
+    of_person = corrected.frame[corrected.person_id == 1]
+    assert of_person.max() < 40  # a track with one known end is believed for 0.3 s, 9 frames
+    assert set(range(19)) <= set(of_person.tolist())
     assert corrected.frame[corrected.person_id == 0].max() == len(waltz.images) - 1
 
 

@@ -141,7 +141,8 @@ class Clip:
         for one in clips:
             links = links_of(one._contacts, one.positions_m)[frames]
             panels.append(people_panel(one.name, self.skeleton, one.positions_m[frames], links))
-        where = "; contacts are green" if self._contacts.weights.size else ""
+        where = " (left: its source)" if self.source is not None else ""
+        where += "; contacts are green" if self._contacts.weights.size else ""
         return Picture(f"{self.name}{PLAYER}", f"{self.name}{where}", pack_player(panels, rate_hz=rate_hz))
 
     def _repr_html_(self) -> str:

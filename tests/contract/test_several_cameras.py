@@ -85,6 +85,7 @@ def test_two_sources_of_a_take_become_one_motion(tmp_path: Path) -> None:
     shown = [replace(one, facts={**one.facts, "takes": ["waltz"]}) for one in annotations[::-1]]
     (scored,) = TOPIC.plan(StageInputs({"annotations": shown, "motions": [manifest]}, seed=0), Parameters())
     assert [store.manifest(ref).partition for ref in scored.refs("annotations")] == ["front"]
+    assert list(TOPIC.compute(scored, store).notes)[:2] == [f"front: {first}.", f"front: {side}."], "on the page"
 
 
 def test_a_calibration_places_the_cameras_of_a_study(tmp_path: Path) -> None:

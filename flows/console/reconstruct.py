@@ -12,6 +12,7 @@ from typer import Argument, Option
 
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
 from flows.console.cameras import (
+    OtherCamera,
     camera_names,
     film_size_px,
     find_calibration,
@@ -174,11 +175,15 @@ def _reconstruct_video(
             calibration, names, [film_size_px(shown) for shown in (*videos, *found_others)], calibration_file
         )
     searched = find_database(database, store, with_pairs=True)
-    others = [read_camera(name, source) for name, source in zip(names[1:], found_others, strict=True)]
+    others = list[OtherCamera]()
     camera = StatedCamera(
         None if pitch_deg is None else math.radians(pitch_deg), camera_height_m or video.camera_height_m
     )
     listener = make_listener()
+
+    def note_film(name: str, source: FoundAnnotations) -> None:
+        if isinstance(source, FoundFilm):
+            listener.note(f"{name}: finding people in the film and following them")
 
     def reconstruct(source: FoundAnnotations, resolved: ResolvedPeople, sequence: SequencePeople) -> None:
         tracks, motion = steady_tracks(resolved, sequence)
@@ -234,7 +239,11 @@ def _reconstruct_video(
     failed: list[InputError] = []
     num_made, known = 0, set[int]()
     try:
+        for name, source in zip(names[1:], found_others, strict=True):
+            note_film(name, source)
+            others.append(read_camera(name, source))
         for video_found in videos:
+            note_film(video_found.parameters.id, video_found)
             listener.note(f"reading {video_found.in_words()}")
             try:
                 resolved = video_found.resolve()

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from flows.console.annotate import DetectionsOption, DetectOption, KeysOption, film_source
 from flows.console.context import JsonOption, SettingOption, answer, app, echo, graph_of, say
 from flows.console.display import format_table
 from flows.console.study_new import write_new_study
@@ -18,7 +19,10 @@ from flows.reasons import shorten
 from flows.study import load_study
 from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
+from pasdedeux.errors import InputError
 from tasks.graph import Graph
+from tasks.ingest.film.detector_files import fetched_detectors
+from tasks.ingest.film.readers import is_film
 
 _group = typer.Typer(
     help="List, show and write studies; explain their keys.", no_args_is_help=True, rich_markup_mode=None
@@ -93,17 +97,27 @@ def keys(
 def new(
     file: Annotated[Path, Argument(metavar="FILE", help="The study to write, a new .toml file.")],
     sources: Annotated[
-        list[Path] | None, Option("--from", metavar="PATH", help="Motion of a person, or 2D poses; may be given again.")
+        list[Path] | None,
+        Option("--from", metavar="PATH", help="Motion of a person, 2D poses, or a film; may be given again."),
     ] = None,
+    keys: KeysOption = None,
+    detections: DetectionsOption = None,
+    detect: DetectOption = None,
 ) -> None:
-    """Write a commented study for the motion files of one take, a person each, or for 2D poses.
+    """Write a commented study for the motion files of one take, a person each, for 2D poses, or for a film.
 
     \b
       pasdedeux study new waltz.toml                               over the built-in duets
       pasdedeux study new mine.toml --from a.bvh --from b.bvh      two people of one take
       pasdedeux study new mine.toml --from openpose_json_folder
+      pasdedeux study new mine.toml --from dance.mp4 --keys keys.xml
     """
-    say(write_new_study(file, sources or []))
+    is_given = bool(keys or detections or detect)
+    films = [path for path in sources or () if path.exists() and is_film(path) and (is_given or fetched_detectors())]
+    if is_given and len(films) != 1:
+        raise InputError(f"--keys, --detections and --detect are of one film, found {len(films)}; name it by --from")
+    files = [path for path in sources or () if path not in films]
+    say(write_new_study(file, files, [film_source(path, (), keys, detections, detect) for path in films]))
     echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 
 

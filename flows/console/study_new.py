@@ -1,4 +1,4 @@
-"""A study to start from: written for the files of a take or for 2D poses, what their content tells as comments."""
+"""A study to start from: written for motion files, 2D poses or a film, what their content tells as comments."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from pasdedeux.people.video import why_no_video
 from pasdedeux.plain_text import counted, visible
 from pasdedeux.skeletons.layouts import Draft, find_layout
 from tasks.ingest.files import load_file, read_again
+from tasks.ingest.film.parameters import FilmOptions
+from tasks.ingest.film.run import find_videos
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.readers import refuse_film
 from tasks.ingest.poses2d.resolution import find_annotations
@@ -71,7 +73,10 @@ class _Person:
 
 @dataclass(frozen=True)
 class _Video:
-    """A file or folder of 2D poses as the study names it, how many people it shows at once, and whether they move."""
+    """2D poses or a film as the study names them, how many people they show at once, and whether they move.
+
+    `given` is the key of a film that says where its 2D poses come from; empty for 2D poses.
+    """
 
     id: str
     path: str
@@ -79,9 +84,10 @@ class _Video:
     note: str
     num_persons: int
     is_moving: bool
+    given: str = ""
 
 
-def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
+def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[FilmOptions] = ()) -> list[str]:
     """Write a commented study over files to a new file; return findings and doubts, a line each.
 
     Motion files are the people of one take, person A first.  Without files, the study is of the built-in duets.
@@ -93,6 +99,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
     if path.exists():
         raise InputError(f"{path} already exists; choose another name or remove it")
     sources = [source for file in files for source in _inspect(file, path.parent)]
+    sources += [_read_film(film, path.parent) for film in films]
     people = _with_one_draft([source for source in sources if isinstance(source, _Person)])
     videos = [source for source in sources if isinstance(source, _Video)]
     # Names of files and joints stand in them, and must not become lines of the study.
@@ -122,7 +129,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> list[str]:
         *(f"found {_said(person)}" for person in people),
         *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.motion.notes),
         *_drafted(people),
-        *(f"found 2D poses {video.path}: {video.note}" for video in videos),
+        *(f"found {'film' if video.given else '2D poses'} {video.path}: {video.note}" for video in videos),
         *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
     return [visible(line, is_line=True) for line in told]
@@ -180,6 +187,30 @@ def _read_video(path: Path, base: Path) -> _Video:
         note=visible("; ".join(source.in_words() for source in sources), is_line=True),
         num_persons=max(people.values(), default=0),
         is_moving=any(not why_no_video(np.array(own)) for own in numbers.values()),
+    )
+
+
+def _read_film(film: FilmOptions, base: Path) -> _Video:
+    """Find a film as a study will; key frames or keypoints tell how many people it shows, a detector is not run."""
+    shots = [shot.parameters for shot in find_videos(film)]
+    frames = counted(sum(shot.num_frames for shot in shots), "frame")
+    cuts = f" in {len(shots)} shots" if len(shots) > 1 else ""
+    width, height = shots[0].video_size_px or (0, 0)
+    key = next(name for name in ("keys", "detections", "detect") if getattr(film, name))
+    poses = film.keys or film.detections
+    value = (
+        _quoted(_shown(poses, base))
+        if poses
+        else _quoted([_shown(Path(name), base) if Path(name).exists() else name for name in film.detect])
+    )
+    return _Video(
+        id=_identifier(film.path.stem),
+        path=_quoted(_shown(film.path, base)),
+        format="",
+        note=f"{frames}{cuts} at {shots[0].video_rate_hz:g} Hz, {width} x {height}",
+        num_persons=_read_video(poses, base).num_persons if poses else 2,
+        is_moving=True,
+        given=f"{key} = {value}",
     )
 
 

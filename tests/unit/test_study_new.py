@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
@@ -16,6 +17,7 @@ from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.skeletons import OP14
 from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
 from tasks.ingest.takes.known_sources import note_fetched
@@ -27,8 +29,10 @@ from tasks.views import ViewsParameters
 from tests.builders.guesses import guess_motion
 from tests.builders.ingest_runs import planned
 from tests.builders.own_sources import write_walk
+from tests.builders.rendered_film import write_film
 from tests.builders.rigs import RIGS, Rig
 from tests.builders.source_samples import bvh_text, csv_text, figure_motion
+from tests.builders.tiny_networks import movenet
 
 
 class New(NamedTuple):
@@ -208,6 +212,39 @@ def test_key_frames_are_lifted_and_no_motion_is_asked_of_them(tmp_path: Path) ->
     sections = tomllib.loads(new_study(tmp_path / "keys.csv", name="keys").text)
     assert {"views", "seeds", "chains", "lifting"} <= set(sections)
     assert not {"projections", "reconstruction"} & set(sections)
+
+
+@pytest.mark.parametrize("option", ["keys", "detections", "detect"])
+def test_a_film_is_named_with_where_its_2d_poses_come_from(
+    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    film = write_film(tmp_path / "dance.avi", [np.full((60, 80, 3), 90, dtype=np.uint8)] * 20)
+    keys, study = tmp_path / "keys.csv", tmp_path / "film.toml"
+    rows = [
+        f"{frame},{who},{name},{9 + 9 * who},{at}"
+        for frame in (0, 19)
+        for who in (0, 1)
+        for at, name in enumerate(OP14.joint_names)
+    ]
+    keys.write_text("\n".join(["# layout: op14", "frame,person,joint,x,y", *rows]))
+    network = tmp_path / "net.onnx"
+    network.write_bytes(movenet())
+    given = network if option == "detect" else keys
+    assert run_command_line(["study", "new", str(study), "--from", str(film), f"--{option}", str(given)]) == 0
+    assert 'found film "dance.avi": 20 frames at 30 Hz, 80 x 60' in capsys.readouterr().out
+    values = tomllib.loads(study.read_text())
+    (source,) = values["ingest"]["videos"]
+    assert source == {"id": "dance", "path": "dance.avi", option: ["net.onnx"] if option == "detect" else "keys.csv"}
+    assert (values["seeds"]["num_lifted"], values["reconstruction"]) == (LIFTED_OF_2D_ALONE, {"sequences": "given"})
+    graph = load_graph()
+    assert load_study(str(study), graph)[0].resolved()["ingest"]["videos"][0]["id"] == "dance"
+
+
+def test_options_of_a_film_need_a_film(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text("frame,person,joint,x,y\n")
+    words = ["study", "new", str(tmp_path / "one.toml"), "--from", str(tmp_path / "a.csv"), "--keys", "keys.csv"]
+    assert run_command_line(words) == 2
+    assert "are of one film, found 0; name it by --from" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("rig", RIGS, ids=lambda rig: rig.name)

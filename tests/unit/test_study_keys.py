@@ -24,10 +24,10 @@ def test_every_key_says_what_it_means() -> None:
     assert [name for name, key in KEYS.items() if not key.meaning] == []
 
 
-def test_a_study_has_few_keys_and_ingest_at_most_91() -> None:
+def test_a_study_has_few_keys_and_ingest_at_most_92() -> None:
     leaves = {name for name in KEYS if not any(other.startswith(f"{name}.") for other in KEYS)}
-    assert len(leaves) <= 194
-    assert len([name for name in KEYS if name.startswith("ingest.")]) <= 91
+    assert len(leaves) <= 195
+    assert len([name for name in KEYS if name.startswith("ingest.")]) <= 92
 
 
 def test_keys_that_two_tables_have_from_one_model_are_said_once() -> None:

@@ -121,6 +121,7 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
         made = njit(cache=True, **options)(function)
         base, stamp = made._cache._impl.filename_base, made._cache._cache_file._source_stamp
         # Files of its own for each version of numba: each would replace those of the other, and compile for minutes.
+        # `unique`: files of before had symbols that were not.
         name = f"{base}-{__version__}-unique"
         files = made._cache._cache_file = IndexDataCacheFile(made.stats.cache_path, name, stamp)
     except RuntimeError:  # no folder that it may write to

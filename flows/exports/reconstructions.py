@@ -144,13 +144,7 @@ def write_reconstruction(
             whose = f"camera {seen.name}" if told else shot.film.parameters.id
             caption = f"{whose}: the reconstruction over the film; faces are blurred."
             pictures += [Picture(f"{whose}-film.svg", caption, moving_svg(images, shown_hz))] if images else []
-    verdicts = {
-        f"person {name}, expected error {judged.expected_in_words}": judged.verdict
-        for name, judged in reconstruction.judged.people.items()
-    } | {
-        f"place of {first} and {second}, expected error {place.expected_in_words}": place.verdict
-        for (first, second), place in reconstruction.judged.places.items()
-    }
+    verdicts = reconstruction.judged.verdicts_with_errors
     write_text(page, player_page(sequence.sequence_id, pictures, said, verdicts))
     return WrittenReconstruction(rows, decisions, page)
 

@@ -205,6 +205,14 @@ class Judged:
         people = {f"person {name}": person.verdict for name, person in self.people.items()}
         return people | {f"place of {a} and {b}": place.verdict for (a, b), place in self.places.items()}
 
+    @property
+    def verdicts_with_errors(self) -> dict[str, Verdict]:
+        """All verdicts, by what they are about and the error that is expected of it."""
+        expected = [person.expected_in_words for person in self.people.values()]
+        expected += [place.expected_in_words for place in self.places.values()]
+        named = zip(self.verdicts.items(), expected, strict=True)
+        return {f"{name}, expected error {words}": verdict for (name, verdict), words in named}
+
 
 def judge_tracks(
     people: ReconstructedPeople,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,20 @@ def test_rows_follow_each_other_within_a_motion_only() -> None:
     both = Database(poses, np.arange(6) == 4)
     assert both.successors().tolist() == [1, 2, 3, 3, 5, 5]
     assert both.num_projections == 6 * 30
+
+
+@pytest.mark.parametrize(
+    ("most", "kept"), [(6, range(6)), (7, range(6)), (5, range(0, 6, 2)), (2, range(0, 6, 3)), (1, [0])]
+)
+def test_a_thinned_database_has_evenly_spaced_poses_that_follow_nothing(most: int, kept: Sequence[int]) -> None:
+    poses, body = centre_and_face(walk(6)).poses_m.astype(np.float32), np.arange(6 * 22 * 4.0, dtype=np.float32)
+    whole = Database(poses, np.arange(6) == 4, num_yaws=1, body22_unitquat=body.reshape(6, 22, 4))
+    thin = whole.thinned(most)
+    assert (thin is whole) == (len(kept) == 6)
+    assert thin.is_sequence_start.tolist() == [row in (0, 4) or thin is not whole for row in kept]
+    np.testing.assert_array_equal(thin.poses_m, poses[list(kept)])
+    assert thin.body22_unitquat is not None
+    np.testing.assert_array_equal(thin.body22_unitquat[:, 0, 0], 88.0 * np.array(kept))
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> N
     write_new_study(tmp_path / "my study.toml", [tmp_path / "a one.bvh", tmp_path / "b.bvh"])
     text = (tmp_path / "my study.toml").read_text()
     take = IngestParameters.model_validate(tomllib.loads(text)["ingest"]).takes[0]
-    assert [path.as_posix() for path in take.files] == ["a one.bvh", "b.bvh"]
+    assert (take.id, [path.as_posix() for path in take.files]) == ("a_one", ["a one.bvh", "b.bvh"])
     assert (take.layout, take.up_axis, take.rate_hz) == ("body22", "y", 60.0)
     assert [person.metres_per_unit for person in take.persons] == [0.01, 0.01]
     assert "stated rates are often wrong" in text

@@ -30,6 +30,20 @@ def test_facts_are_written_as_they_were_given_and_read_back(tmp_path: Path) -> N
     assert model.to_json()["class"] == "copy"
 
 
+def test_what_is_not_given_is_none_and_a_model_is_of_the_whole_body_on_the_processor() -> None:
+    kinds, given = [Facts], {}
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+        fields = {
+            name: field for name, field in kind.model_fields.items() if name != "kind" and not field.is_required()
+        }
+        given |= {
+            name: found for name, field in fields.items() if (found := field.get_default(call_default_factory=True))
+        }
+    assert len(kinds) > 15
+    assert given == {"device": "cpu", "skeleton": "body22"}
+
+
 def test_facts_that_no_stage_has_are_refused_when_they_are_written() -> None:
     with pytest.raises(ValidationError, match="rate"):
         TakeFacts(take_id="waltz", rate=30.0)  # type: ignore[call-arg]

@@ -11,7 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from signal import SIGKILL
 from threading import Thread
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -59,6 +61,11 @@ def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:
     server = LocalServer()
     process = server.process
     assert process.stdin is not None
+    assert process.stdout is not None
+    address = urlsplit(process.stdout.readline().strip())
+    assert (address.scheme, address.hostname, address.path) == ("http", "127.0.0.1", "/api")
+    assert address.port is not None
+    assert address.port >= 1024, "a free port, whatever the user may open"
     process.stdin.close()  # what the system does to the pipe of a killed process
     assert process.wait(timeout=60) == 0
     server.end()
@@ -73,6 +80,23 @@ def test_a_server_that_cannot_start_is_named_with_its_last_words(
     monkeypatch.setattr(sys, "executable", str(broken))
     with starting_server() as server, pytest.raises(ServerError, match=r"code 7 instead of starting: the reason$"):
         server.wait()
+
+
+def test_a_server_that_fails_while_it_starts_ends_and_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PREFECT_SERVER_DATABASE_CONNECTION_URL", "nonsense")
+    with (
+        starting_server() as server,
+        pytest.raises(ServerError, match=r"code 1 instead of starting: \S+: Could not parse"),
+    ):
+        server.wait()
+
+
+def test_a_server_that_does_not_answer_in_time_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS", "0")
+    said = "did not answer within 0 s; set PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS to wait longer"
+    with starting_server() as server, pytest.raises(ServerError, match=said):
+        server.wait()
+    assert server.process.returncode == -SIGKILL
 
 
 @contextmanager

@@ -147,7 +147,7 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
         }
         for stage in outcome.stages
     ]
-    where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
+    where = "" if outcome.page is None else f"; report: {outcome.page}"
     key = _key(run.study.name)
     create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
     if published is not None:

@@ -10,7 +10,15 @@ from flows.building import Build, StartTask
 from flows.machine import why_few
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
-from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder
+from flows.records import (
+    begin_record,
+    copy_report,
+    end_record,
+    is_on_record,
+    read_last_run,
+    report_folder,
+    shown_page,
+)
 from flows.signals import remembered_ctrl_c
 from pasdedeux.plain_text import counted
 from storage_schema import RunFolder, StorageError, new_run
@@ -55,7 +63,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         from flows.profiling import write_profile  # draws: what is not profiled need not wait for it
 
         run.listener.note(f"profile: {write_profile(folder.path / 'report', run.store, build.done)}")
-    return Outcome(folder.run_id, build.outcomes, report, peak)
+    return Outcome(folder.run_id, build.outcomes, report, peak, shown_page(run.store, run.study.name, report))
 
 
 @contextmanager
@@ -96,4 +104,4 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     if last is None or not is_known or (has_report and report is None):
         return execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
-    return Outcome(last.run_id, outcomes, report)
+    return Outcome(last.run_id, outcomes, report, page=shown_page(run.store, run.study.name, report))

@@ -69,12 +69,16 @@ class StageOutcome:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did, stage by stage, where its report is (None when the study makes none), and the memory it took."""
+    """What a run did, stage by stage, and the memory it took.
+
+    `report` is the folder of its report, and `page` what to open of it; None when the study makes none.
+    """
 
     run_id: str
     stages: tuple[StageOutcome, ...]
     report: Path | None
     peak_memory_bytes: int | None = None
+    page: Path | None = None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -92,6 +96,7 @@ class Outcome:
             "run_id": self.run_id,
             "num_computed": self.num_computed,
             "report": None if self.report is None else str(self.report),
+            "page": None if self.page is None else str(self.page),
             "peak_memory_bytes": self.peak_memory_bytes,
             "stages": [stage.to_json() for stage in self.stages],
         }

@@ -27,9 +27,10 @@ from storage_schema import (
     open_run,
     read_latest,
     record_latest,
+    record_page,
 )
 from storage_schema.provenance import code_version, package_versions, source_digest
-from storage_schema.runs import STUDY_FILE
+from storage_schema.runs import REPORT_PAGE, STUDY_FILE
 
 PLAN_FILE, ENVIRONMENT_FILE = "plan.json", "environment.json"
 """Files of a run's folder beside the resolved study: what was planned, what it ran on."""
@@ -188,6 +189,19 @@ def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) ->
         for name in store.manifest(ref).attachments:
             folder.write_bytes(f"report/{name}", store.attachment(ref, name))
     return report if report.is_dir() else None
+
+
+def shown_page(store: Store, study: str, report: Path | None) -> Path | None:
+    """Copy the page of a run's report to where it always is, and return the path to open.
+
+    Where the store cannot be written, that is the page in the run's folder; where there is no page, the folder.
+    """
+    if report is None or not (page := report / REPORT_PAGE).is_file():
+        return report
+    try:
+        return record_page(store, study, page.read_bytes())
+    except (OSError, StorageError):
+        return page
 
 
 def _identity(folder: RunFolder, study: str) -> dict[str, Any]:

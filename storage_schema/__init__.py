@@ -29,6 +29,7 @@ from storage_schema.runs import (
     open_run,
     read_latest,
     record_latest,
+    record_page,
 )
 from storage_schema.store import Store
 from storage_schema.table_data import TableData
@@ -69,6 +70,7 @@ __all__ = [
     "parse_reference",
     "read_latest",
     "record_latest",
+    "record_page",
     "referenced_credits",
     "resolve",
     "shard_key",

@@ -2,7 +2,7 @@
 
 `runs/<run_id>/` holds what a person looks up later: resolved study, plan, environment, report.
 `runs/latest/<study>.json` says for each stage which shards it consisted of, from which parameters and inputs: enough to
-say why something is stale.
+say why something is stale.  `runs/latest/<study>.html` is a copy of the study's last report, under a path that stays.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from storage_schema.version import SCHEMA_VERSION
 
 STUDY_FILE = "study.json"
 """File of a run's folder, and of a dataset: the resolved study."""
+REPORT_PAGE = "report.html"
+"""Page of a report, which stands in the folder of its run."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -189,13 +191,22 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     return latest
 
 
+def record_page(store: Store, study: str, page: bytes) -> Path:
+    """Keep the page of a study's last report under a path that stays, which is returned."""
+    path = _latest_path(store, study, "html")
+    with write_errors(store.root):
+        if not path.is_file() or path.read_bytes() != page:
+            replace_file(path, page, staging_root=store.staging_root)
+    return path
+
+
 def in_use(store: Store, *, alone: bool = False) -> AbstractContextManager[None]:
     """Protect the store from garbage collection in a block (`Store.in_use`)."""
     return store.in_use(alone=alone)
 
 
-def _latest_path(store: Store, study: str) -> Path:
-    return store.root / "runs" / "latest" / f"{_checked(study)}.json"
+def _latest_path(store: Store, study: str, suffix: str = "json") -> Path:
+    return store.root / "runs" / "latest" / f"{_checked(study)}.{suffix}"
 
 
 def _shard(values: dict[str, Any]) -> ShardRecord:

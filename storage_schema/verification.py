@@ -13,7 +13,7 @@ from storage_schema.datasets import DATASET_FILE, Dataset, dataset_labels, open_
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
 from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
-from storage_schema.runs import list_runs, read_latest
+from storage_schema.runs import REPORT_PAGE, list_runs, read_latest
 from storage_schema.store import Store
 
 
@@ -188,6 +188,13 @@ def _check_reports(store: Store) -> Iterator[Problem]:
                 is_same, kind, detail = False, ProblemKind.MISSING, f"it cannot be read: {error.strerror}"
             if not is_same:
                 yield Problem(kind, "runs", folder.run_id, f"report/{path.name}", f"{detail}; {advice}")
+    originals = {
+        file_sha256(page) for folder in list_runs(store) if (page := folder.path / "report" / REPORT_PAGE).is_file()
+    }
+    for page in sorted((store.root / "runs" / "latest").glob("[!.]*.html")):
+        if file_sha256(page) not in originals:
+            detail = "it differs from the report of each run; the next run of its study copies it again"
+            yield Problem(ProblemKind.CHANGED, "runs", "latest", page.name, detail)
 
 
 def _copied(store: Store, run: Path) -> dict[Path, list[FileEntry]]:
@@ -209,6 +216,6 @@ def _copied(store: Store, run: Path) -> dict[Path, list[FileEntry]]:
         if manifest is None or manifest.ref != ref:
             continue
         for name, entry in manifest.attachments.items():
-            if "report.html" in manifest.attachments or (run / "report" / name).exists():
+            if REPORT_PAGE in manifest.attachments or (run / "report" / name).exists():
                 copied.setdefault(run / "report" / name, []).append(entry)
     return copied

@@ -196,9 +196,8 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         yield f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}"
     yield from headlines(run.store, run.study.name, made.manifests if made.is_fresh else ())
-    if outcome.report is not None:
-        page = outcome.report / "report.html"
-        yield f"report: {page if page.is_file() else outcome.report}"
+    if outcome.page is not None:
+        yield f"report: {outcome.page}"
     if published is not None and not published.failures:
         yield published.words
 

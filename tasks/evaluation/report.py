@@ -20,6 +20,7 @@ from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
+from storage_schema.runs import REPORT_PAGE
 from tasks.committing import commit, followed
 from tasks.evaluation.topic import EVALUATION, ScoresOf, Topic
 from tasks.facts import Facts, TakeFacts, TopicFacts, merge_takes
@@ -98,7 +99,7 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
         shard,
         store,
         tables={"verdicts": verdict_columns(judged)} if judged else {},
-        attachments={**figures, "report.html": page.encode(), "card.md": render("card.md", card=card).encode()},
+        attachments={**figures, REPORT_PAGE: page.encode(), "card.md": render("card.md", card=card).encode()},
         facts=Facts(takes=merge_takes(*inputs)),
     )
 

@@ -90,7 +90,9 @@ def test_every_stage_and_every_table_is_there(small: BuiltStudy) -> None:
 
 
 def test_the_command_says_how_it_went_and_where_the_report_is(small: BuiltStudy) -> None:
-    assert f"report: {report_folder(small) / 'report.html'}" in small.answer.out
+    page = small.store / "runs" / "latest" / "small.html"
+    assert f"report: {page}\n" in small.answer.out
+    assert page.read_bytes() == (report_folder(small) / "report.html").read_bytes()
     assert "shards computed" in small.answer.out
     assert "\x1b" not in small.answer.out + small.answer.err, "plain lines where nobody sits at a terminal"
 

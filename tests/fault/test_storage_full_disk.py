@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from flows.records import copy_report
+from flows.records import copy_report, shown_page
 from storage_schema import StorageError, Store, create_dataset, new_run, record_latest, verify
 from storage_schema.durable import HashingFile
 from storage_schema.errors import FullDisk
@@ -127,6 +127,21 @@ def test_a_report_is_copied_whole_or_not_at_all(
     monkeypatch.undo()
     assert copy_report(store, run, [ref]) == run.path / "report"
     assert (run.path / "report" / "b.html").read_bytes() == b"b"
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
+def test_a_run_names_its_own_page_where_that_cannot_be_copied(
+    tmp_path: Path, fill: Callable[[int, int], None], code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    report = new_run(store, "duets").path / "report"
+    report.mkdir()
+    assert shown_page(store, "duets", report) == report, "a report without a page"
+    (report / "report.html").write_bytes(b"page")
+    fill(0, code)
+    assert shown_page(store, "duets", report) == report / "report.html"
+    monkeypatch.undo()
+    assert shown_page(store, "duets", report) == tmp_path / "runs" / "latest" / "duets.html"
 
 
 def test_a_store_that_may_not_be_written_to_is_said(tmp_path: Path, fill: Callable[[int, int], None]) -> None:

@@ -19,6 +19,7 @@ from storage_schema import (
     open_table,
     read_latest,
     record_latest,
+    record_page,
     source_files,
     verify,
 )
@@ -284,3 +285,20 @@ def test_copies_of_reports_are_compared_with_what_they_were_copied_from(tmp_path
         "report/report.html": ProblemKind.CHANGED,
         "report/card.md": ProblemKind.MISSING,
     }
+
+
+def test_the_copy_of_the_last_report_is_compared_with_the_reports_of_runs(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    for study in ("duets", "duets-2.5"):
+        run = new_run(store, study)
+        (run.path / "report").mkdir()
+        (run.path / "report" / "report.html").write_bytes(study.encode())
+        copy = record_page(store, study, study.encode())
+        assert copy == store.root / "runs" / "latest" / f"{study}.html"
+    assert verify(store).is_ok
+    copy.write_bytes(b"edited")
+    assert [(problem.kind, problem.file_name) for problem in verify(store).problems] == [
+        (ProblemKind.CHANGED, "duets-2.5.html")
+    ]
+    record_page(store, study, study.encode())
+    assert verify(store).is_ok

@@ -137,6 +137,21 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
     return list({variation.variant_id: variation for variation in variations}.values())
 
 
+def variant_in_words(variant_id: str) -> str:
+    """Say which bones of whom a variant scales, and by how much; of a name of another form, that name.
+
+    >>> variant_in_words("A-uniform-0.75"), variant_in_words("AB-upper_arm-1.25"), variant_in_words("mine")
+    ('all bones of A times 0.75', 'upper arm of A and B times 1.25', 'mine')
+    """
+    match variant_id.split("-"):
+        case [who, kind, scale]:
+            bones = "all bones" if kind == "uniform" else kind.replace("_", " ")
+            people = " and ".join(filter(None, (", ".join(who[:-1]), who[-1:])))
+            return f"{bones} of {people} times {scale}"
+        case _:
+            return variant_id
+
+
 def leg_ratio(bone_scale: Array, lengths_m: Array, skeleton: Skeleton = BODY22) -> Array:
     """Return new over old leg length (thigh and shin, both sides) of scales (*batch, 22) and lengths (22,)."""
     bones = skeleton.indices(_LEG_BONES)

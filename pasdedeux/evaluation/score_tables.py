@@ -26,12 +26,25 @@ class TextTable:
     rows: tuple[tuple[str, ...], ...]
 
 
-def format_value(value: float, unit: str) -> str:
+def format_value(value: float, unit: str, num_digits: int = 3) -> str:
     """Return a figure with its unit, three significant digits, lengths in cm."""
     shown_unit, factor = shown_as(unit)
     scaled = 0.0 if unit == "m" and abs(value) < _MIN_LENGTH_M else value * factor
-    text = f"{scaled:.3g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
+    text = f"{scaled:.{num_digits}g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
     return f"{text} {shown_unit}".strip() if np.isfinite(value) else "-"
+
+
+def format_both(value: float, other: float, unit: str) -> tuple[str, str]:
+    """Return two figures with as many digits, of three to five, as tell them apart.
+
+    >>> format_both(0.10573, 0.10554, "m"), format_both(0.1, 0.2, "m")
+    (('10.57 cm', '10.55 cm'), ('10 cm', '20 cm'))
+    """
+    for num_digits in (3, 4, 5):
+        both = format_value(value, unit, num_digits), format_value(other, unit, num_digits)
+        if both[0] != both[1]:
+            break
+    return both
 
 
 def shown_as(unit: str) -> tuple[str, float]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.pictures import compared_figure
-from pasdedeux.evaluation.score_tables import format_interval, format_value, shown_as
+from pasdedeux.evaluation.score_tables import format_both, format_interval, format_value, shown_as
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, weighted_mean
 from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level, Paired, Verdict
@@ -403,11 +403,10 @@ def figure_words(verdict: Verdict) -> str:
     """
     if not verdict.figure or not math.isfinite(verdict.value):
         return ""
-    line = f"{verdict.figure} {format_value(verdict.value, verdict.unit)}"
+    value, baseline = format_both(verdict.value, verdict.baseline, verdict.unit)
+    line = f"{verdict.figure} {value}"
     if math.isfinite(verdict.baseline):
-        line += (
-            f" against {format_value(verdict.baseline, verdict.unit)} ({in_words(verdict.baseline_name) or 'baseline'})"
-        )
+        line += f" against {baseline} ({in_words(verdict.baseline_name) or 'baseline'})"
     return f"{line}, mean of {verdict.count:,} {verdict.thing}" if verdict.count > 1 else line
 
 

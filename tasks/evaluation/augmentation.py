@@ -14,7 +14,7 @@ from pasdedeux.augmentation.augment import Augmenter
 from pasdedeux.augmentation.quality import FIGURES
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, points_of, reference_motion
-from pasdedeux.augmentation.variations import Variation
+from pasdedeux.augmentation.variations import Variation, variant_in_words
 from pasdedeux.evaluation.motion_players import links_of
 from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score, scores_of
@@ -117,7 +117,7 @@ def _draw(shown: _ShownAugmentation) -> Iterator[Picture]:
     caption = (
         f"{take_id}: the source, its smallest and its largest variant, and the variant with the largest "
         "contact drift (Li et al. 2024, fig. 4). Green: contacts of the source. Good: green lines stay "
-        "short."
+        f"short. {'; '.join(f'{name}: {variant_in_words(name)}' for name in list(shown.motions_m)[1:])}."
     )
     yield Picture(f"variants-{take_id}.player.json", caption, variant_player(shown.source, shown.motions_m))
     if np.isfinite(shown.columns["contact_drift_m"]).any():

@@ -43,7 +43,7 @@ def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(
     assert call("run", study, "--store", store) == 0
     out = capsys.readouterr().out
     assert "everything is fresh, nothing to do" in out
-    assert "report.html" in out
+    assert f"report: {store}/runs/latest/toy.html\n" in out
     assert "profile" not in out
     assert call("run", study, "--store", store, "--profile") == 0
     assert "no profile, because nothing was computed; use --force STAGE" in capsys.readouterr().out

@@ -83,6 +83,8 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
         # Shards that come after others wait in the queue of priorities as well, with whatever is ready.
         "distributed.scheduler.rootish-taskgroup-dependencies": float("inf"),
         "distributed.scheduler.work-stealing-interval": "100ms",
+        # A shard waits at the scheduler, not at a worker, whose death would count against it.
+        "distributed.scheduler.worker-saturation": 1.0,
     }
     with dask.config.set(options):
         if settings.scheduler is not None:

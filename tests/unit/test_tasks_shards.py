@@ -144,6 +144,12 @@ def eat_memory(shard: Shard, store: Store) -> ArtifactRef:
     return run_grow(shard, store)
 
 
+def always_die(shard: Shard, store: Store) -> ArtifactRef:
+    if shard.partition == "t0":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run_grow(shard, store)
+
+
 def name_threads(shard: Shard, store: Store) -> ArtifactRef:
     raise ValueError(f"{os.environ['OMP_NUM_THREADS']} {os.environ['NUMBA_NUM_THREADS']}")
 
@@ -199,6 +205,17 @@ def test_a_shard_that_needs_more_memory_than_a_worker_has_is_named_and_others_ar
         compute(eat_memory, asked, on(client, tmp_path))
     assert caught.value.others == ()
     assert [Store(tmp_path).find("grow", shard.key) is not None for shard in asked] == [False, True, True]
+
+
+def test_a_shard_that_waits_for_the_same_worker_is_not_blamed_for_its_deaths(tmp_path: Path) -> None:
+    asked = shards(4, 1)
+    with (
+        connect(ClusterSettings(num_workers=1), store_root=str(tmp_path)) as alone,
+        pytest.raises(ShardError, match="stage grow, t0, shard s0: its worker process died 3 times") as caught,
+    ):
+        compute(always_die, asked, on(alone, tmp_path))
+    assert caught.value.others == ()
+    assert [Store(tmp_path).find("grow", shard.key) is not None for shard in asked] == [False, True, True, True]
 
 
 def test_workers_use_one_thread(client: Client, tmp_path: Path) -> None:

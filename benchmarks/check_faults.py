@@ -31,7 +31,7 @@ from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.augmentation import quality as against
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.choreography.duets import DUETS, draw_styles, make_duet
-from pasdedeux.evaluation.motion_check import HELD, CheckedMotion
+from pasdedeux.evaluation.motion_check import HELD, QUALITY_LIMITS, CheckedMotion
 from pasdedeux.figure import Figure, complaints, limits_of
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.interaction.surfaces import surface_gaps
@@ -217,7 +217,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 """Figures that find each kind; a limit is chosen for the first."""
 
 
-AGAINST_LIMITS = limits_of(against.FIGURES) | limits_of(HELD)
+AGAINST_LIMITS = QUALITY_LIMITS | limits_of(HELD)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from pasdedeux.augmentation.source import Source, complete_scales, points_of, re
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import LONGEST_S, OVERLAP_S, blend_weights, plan_windows
+from pasdedeux.figure import Limits
 from pasdedeux.interaction.known_contacts import UserContact, check_contacts
 from pasdedeux.verdict import Level, Verdict
 
@@ -73,7 +74,12 @@ class Augmenter:
     """
 
     def __init__(
-        self, source: Source, settings: AugmentationSettings | None = None, *, user_contacts: Sequence[UserContact] = ()
+        self,
+        source: Source,
+        settings: AugmentationSettings | None = None,
+        *,
+        user_contacts: Sequence[UserContact] = (),
+        frame_limits: Limits = FRAME_LIMITS,
     ) -> None:
         self.settings = settings or AugmentationSettings()
         if self.settings.floor_m is not None:
@@ -89,6 +95,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
+        self._frame_limits = frame_limits
         self.meter = QualityMeter(source, user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 
@@ -147,7 +154,7 @@ class Augmenter:
             lengths_m=scaled_lengths(self.source, bone_scale)[0],
             squared_residual=np.zeros(self.source.num_frames) if squared_residual is None else squared_residual,
         )
-        frame_verdicts = frames.judge(FRAME_LIMITS)
+        frame_verdicts = frames.judge(self._frame_limits)
         made: dict[str, Any] = {
             "energy": np.nan,
             "energy_fk": np.nan,

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.augmentation import Augmenter, Source
-from pasdedeux.augmentation.quality import Quality
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source
+from pasdedeux.augmentation.quality import FIGURES as QUALITY
+from pasdedeux.augmentation.quality import FRAME_LIMITS, Quality
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
@@ -29,6 +30,10 @@ from pasdedeux.verdict import Level, Verdict
 _MAX_RATE_HZ = 30.0
 """Contacts are looked for at no more than this, as studies do."""
 _SHOWN_S = 5.0
+_BONES = {"bone_error_m": (0.01, 0.03)}
+"""A joint that lies between joints of somebody's rig moves by millimetres on its bone; the solver's bones are exact."""
+QUALITY_LIMITS = limits_of(QUALITY) | _BONES
+"""Limits of a motion against its source."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,8 @@ class CheckedMotion:
 
     @cached_property
     def _augmenter(self) -> Augmenter:
-        return Augmenter(self.source)
+        settings = AugmentationSettings(limits=QUALITY_LIMITS)
+        return Augmenter(self.source, settings, frame_limits=FRAME_LIMITS | _BONES)
 
     def touch(self) -> TouchFigures:
         """Return how people touch each other."""

@@ -122,6 +122,24 @@ def test_a_unit_is_told_by_the_bodies_or_by_the_option(
     assert "m tall by the legs" in wrong["inches"]["reason"]
 
 
+@pytest.mark.parametrize(("beside", "metres"), [({}, 0.0254), ({"bvh_metres_per_unit": 0.022}, 0.022), (None, 0.0254)])
+def test_the_npz_beside_an_exported_bvh_states_its_unit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], beside: Mapping[str, float] | None, metres: float
+) -> None:
+    write_waltz(tmp_path, metres_per_unit=0.0254)
+    for path in sorted(tmp_path.glob("*.bvh")):
+        if beside is None:
+            path.with_suffix(".npz").write_text("no npz")
+        else:
+            np.savez(path.with_suffix(".npz"), **beside)
+    _, rows = check(capsys, tmp_path, "--page", tmp_path / "page.html")
+    (row,) = rows.values()
+    assert [person["metres_per_unit"] for person in row["people"]] == pytest.approx([metres] * 2, rel=1e-3)
+    _, rows = check(capsys, tmp_path, "--page", tmp_path / "page.html", "--unit", 0.0254)
+    (row,) = rows.values()
+    assert row["people"][0]["metres_per_unit"] == 0.0254
+
+
 @pytest.mark.parametrize(("fail_on", "name", "code"), [(None, "twins", 0), ("warn", "good", 0), ("warn", "alone", 1)])
 def test_fail_on_decides_the_exit_code(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fail_on: str | None, name: str, code: int
@@ -167,6 +185,21 @@ def test_a_contact_that_drifts_is_found_against_its_source(tmp_path: Path, capsy
     assert rows["waltz_good"]["against_source"]["worst_contact_m"] < 0.006
     assert "115 frames of 2 people at 30 Hz, its source waltz 120" in rows["waltz_short"]["reason"]
     assert "no source has a name that this begins with; sources: hug, waltz" in rows["judo"]["reason"]
+
+
+@pytest.mark.parametrize(("moved_m", "said"), [(0.002, None), (0.02, "10 mm"), (0.1, "30 mm")])
+def test_joints_between_joints_of_a_rig_may_move_on_their_bones_by_millimetres(
+    moved_m: float, said: str | None
+) -> None:
+    people, rate_hz = people_of_waltz()
+    wandering = people.copy()
+    wandering[::3, :, 0, 1] += moved_m
+    quality, _, verdict = CheckedMotion("waltz_B", wandering, rate_hz).held_against(
+        CheckedMotion("waltz", people, rate_hz)
+    )
+    assert moved_m / 2 < quality.bone_error_m <= moved_m
+    assert re.findall(r"bone error [0-9.]+ mm is above (\d+ mm)", verdict.reason) == ([said] if said else [])
+    assert ("frames fail" in verdict.reason) == (moved_m > 0.03)
 
 
 def test_the_page_shows_the_worst_in_players_at_any_width(

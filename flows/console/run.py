@@ -7,6 +7,7 @@ import os
 import signal
 import tempfile
 import time
+import webbrowser
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
@@ -102,6 +103,7 @@ def run(
     is_profiled: Annotated[
         bool, Option("--profile", help="Also write a profile beside the report: which process computed what, and when.")
     ] = False,
+    opens: Annotated[bool, Option("--open", help="Open the report in a browser at the end.")] = False,
     fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -113,6 +115,7 @@ def run(
       pasdedeux run my.toml --store /data/store --workers 8
       pasdedeux run my.toml --set chains.num_chains=4 --until chains
       pasdedeux run my.toml --preview                a first look: the 4 s with most contact of each take
+      pasdedeux run my.toml --open                   and open the report at the end
       pasdedeux run my.toml --scheduler tcp://cluster:8786
       pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
     """
@@ -132,7 +135,7 @@ def run(
     opened = open_store(store)
     graph = with_page(chosen, graph, opened, selection)
     to_build = Run(chosen, graph, opened, selection, is_profiled=is_profiled)
-    build_and_report(to_build, where, fail_on=worst, as_json=as_json)
+    build_and_report(to_build, where, opens=opens, fail_on=worst, as_json=as_json)
     if is_preview and not as_json:
         echo(f"for the whole study: {next_command('run', study, *given, store=store, settings=settings)}")
 
@@ -166,7 +169,9 @@ def with_page(study: Study, graph: Graph, store: Store, selection: StageSelectio
     return graph.only({selection.until, *graph.above(selection.until), *graph.reporting})
 
 
-def build_and_report(run: Run, cluster: ClusterSettings, *, as_json: bool, fail_on: Level | None = None) -> None:
+def build_and_report(
+    run: Run, cluster: ClusterSettings, *, as_json: bool, opens: bool = False, fail_on: Level | None = None
+) -> None:
     """Bring a study up to date, report the outcome, and fail if nothing was made or a verdict is too bad."""
     started = time.perf_counter()
     outcome, made = build(run, cluster, is_quiet=as_json)
@@ -176,6 +181,8 @@ def build_and_report(run: Run, cluster: ClusterSettings, *, as_json: bool, fail_
     more = {} if published is None else {"published": published.to_json()}
     lines = _report_lines(run, outcome, made, seconds, published)
     answer({**outcome.to_json(), "seconds": round(seconds, 3), **more}, lines, as_json=as_json)
+    if opens and outcome.page is not None and not webbrowser.open(outcome.page.resolve().as_uri()):
+        echo(f"no browser starts here; open {outcome.page} in one", err=True)
     refuse_nothing(outcome.missing)
     refuse_unpublished(published)
     if fail_on is not None:

@@ -49,6 +49,25 @@ def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(
     assert "no profile, because nothing was computed; use --force STAGE" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("is_there", "words"), [(True, ""), (False, "no browser starts here; open ")])
+def test_the_report_is_opened_at_the_end(
+    built: tuple[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    is_there: bool,
+    words: str,
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or is_there)
+    study, store = built
+    assert call("run", study, "--store", store) == 0
+    assert (opened, capsys.readouterr().err) == ([], "")
+    assert call("run", study, "--store", store, "--open") == 0
+    page = Path(store) / "runs" / "latest" / "toy.html"
+    assert opened == [page.as_uri()]
+    assert capsys.readouterr().err == (f"{words}{page} in one\n" if words else "")
+
+
 def test_a_run_until_a_stage_ends_with_a_page_on_what_it_made_and_keeps_a_whole_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

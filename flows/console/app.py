@@ -173,8 +173,8 @@ def options(
     a change, a crash or an interruption: only missing results are computed.
 
     \b
-      pasdedeux run                              build the built-in duets into ./store
-      pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
+      pasdedeux run                              the built-in duets, into ./store
+      pasdedeux run --set chains.num_draws=2000  the same with another parameter
       pasdedeux plan                             what a run would compute, and why
       pasdedeux study new my.toml --from a.bvh --from b.bvh
       pasdedeux run my.toml

@@ -34,10 +34,11 @@ def bench(
     \b
       pasdedeux bench              kernels of all stages
       pasdedeux bench chains       kernels of one stage
-      pasdedeux bench loader       training windows, compared with pyarrow and `datasets`
+      pasdedeux bench loader       training windows, beside pyarrow and `datasets`
       pasdedeux bench scale        how cost grows with size
-      pasdedeux bench full-scale   the same to 10,000,000 projections, 1,000,000 annotations, 100 takes; minutes
-      pasdedeux bench commands     `status`, and the demo, which is built three times; minutes
+      pasdedeux bench full-scale   to 10,000,000 projections, 1,000,000
+                                   annotations and 100 takes; takes minutes
+      pasdedeux bench commands     `status`, and the demo, three times; minutes
     """
     if not (_ROOT / "benchmarks" / "registry.py").is_file():
         raise PlanError("benchmarks are not installed: run this command in a checkout (`pip install --editable .`)")

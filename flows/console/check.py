@@ -69,9 +69,10 @@ def check(
     `61_03.bvh`, `A/x.bvh` with `B/x.bvh`; a file of two people is a pair, and so are two files given alone.
 
     \b
-      pasdedeux check captures                                 a folder; writes check.html
-      pasdedeux check a.bvh b.bvh --unit 0.0254                two people, in inches
-      pasdedeux check variants --source takes --fail-on fail   variants against their takes, in a script
+      pasdedeux check captures                    a folder; writes check.html
+      pasdedeux check a.bvh b.bvh --unit 0.0254   two people, in inches
+      pasdedeux check variants --source takes     variants against their takes
+      pasdedeux check captures --fail-on fail     for a script
 
     The check covers unit and axes, floor (height for each person, tilt), sliding feet, jumps (also out of the first
     frame), jerk, size, the same motion or body twice, and overlap of bodies.  The limits are those of a study

@@ -36,7 +36,7 @@ def curate(
     \b
       pasdedeux curate reject "variants:duets/waltz#120" --reason "feet slide"
       pasdedeux curate undo "variants:duets/waltz#120"
-      pasdedeux curate reject "motions:duets/waltz#0" --frames 30-45 --reason "foot lost"
+      pasdedeux curate reject "motions:duets/waltz#0" --frames 30-45
 
     Rows are counted from 0, as in `show`.  A variant has a row for each frame and person; any of its rows selects the
     whole variant.  The output names what was selected.  The file has a line for each choice, with name, content

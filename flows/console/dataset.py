@@ -51,7 +51,7 @@ def create(
 
     \b
       pasdedeux dataset create salsa --study cmu_salsa
-      pasdedeux dataset create salsa --study cmu_salsa --stage augmentation --version 2.0
+      pasdedeux dataset create salsa --study cmu_salsa --version 2.0
 
     Then `variants:salsa@2.0` names its rows, on the command line and in Python.
     """
@@ -106,7 +106,8 @@ def push(
     """Copy a version of a dataset, with everything it was computed from, to S3-compatible storage.
 
     \b
-      export AWS_ENDPOINT_URL=https://s3.example.org AWS_REGION=... AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=...
+      export AWS_ENDPOINT_URL=https://s3.example.org AWS_REGION=...
+      export AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=...
       pasdedeux dataset push salsa@3 s3://bucket/datasets
       pasdedeux dataset pull salsa s3://bucket/datasets --store elsewhere
 

@@ -45,7 +45,8 @@ def deploy(
     """Deploy a study to a Prefect server, as a build that runs on a schedule or on request.
 
     \b
-      export DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false PREFECT_API_URL=http://127.0.0.1:4200/api
+      export DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false
+      export PREFECT_API_URL=http://127.0.0.1:4200/api
       prefect server start --background
       pasdedeux deploy duets --store /data/store --cron "0 2 * * *"
       prefect worker start --pool pasdedeux

@@ -49,21 +49,27 @@ def export(
     \b
       npz   numpy arrays, one file: every table
       csv   one line per row, arrays as columns: every table
-      bvh   a file per person: poses and variants (the source's own skeleton, an npz beside), motions (a humanoid),
-            draws, seeds, lifted_pairs, in_betweens (a frame each)
-      glb   everybody in one scene, skinned and animated, for Blender and viewers: the same tables
-      c3d   joints as labelled points, everybody in one file: the same tables; trc: the same for OpenSim
-      smpl  parameters of SMPL, SMPL-H or SMPL-X for your own body model: poses, variants, motions
+      bvh   a file per person: poses and variants (the source's own
+            skeleton, an npz beside), motions (a humanoid), draws, seeds,
+            lifted_pairs, in_betweens (a frame each)
+      glb   everybody in one scene, skinned and animated, for Blender and
+            viewers: the same tables
+      c3d   joints as labelled points, everybody in one file: the same tables
+      trc   the same, for OpenSim
+      smpl  parameters of SMPL, SMPL-H or SMPL-X for your own body model:
+            poses, variants, motions
       mp4   the result drawn on its footage: motions, lifted_pairs, in_betweens
       coco  2D keypoints: annotations
       json  both people with named joints, for editing: seeds, one draw
       safetensors  trained models with a card
+
     FBX and USD are not written: import the glb or bvh into Blender and export there (docs/formats-and-units.md).
+
     \b
-      pasdedeux export variants:duets/waltz --format glb --verdict pass --out waltz_variants
+      pasdedeux export variants:duets/waltz --format glb --verdict pass --out new
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
-      pasdedeux export contacts:duets --format csv --out contacts   # all contacts, frame by frame
-      pasdedeux export draws:duets --select 500 --out selected      # pairs that represent all
+      pasdedeux export contacts:duets --format csv --out contacts   frame by frame
+      pasdedeux export draws:duets --select 500 --out selected      represent all
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
     options |= {"all_methods": True} if all_methods else {}

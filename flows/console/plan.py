@@ -56,7 +56,8 @@ def plan(
     fresh    it exists, and nothing it depends on has changed
     missing  it was never built, or its files were removed
     stale    something it depends on has changed (what is named)
-    pending  it depends on a stage that is not built yet; rebuilt only if the bytes of that stage change
+    pending  it depends on a stage that is not built yet; rebuilt only if the
+             bytes of that stage change
 
     --cost estimates time, memory and disk space from the last run of each shard.
     """

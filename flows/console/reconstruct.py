@@ -90,10 +90,12 @@ def reconstruct(
     docs; each camera in a folder is a sequence.  --follow reads a folder of OpenPose files while it is being written.
 
     \b
-      pasdedeux reconstruct walk/ --out out/                              BVH and npz for each person, a GLB, a page
-      pasdedeux reconstruct walk/ --database projections:duets --follow   a JSON line per person and frame, live
-      pasdedeux reconstruct dance.mp4 --out out/      film to BVH, GLB and page: --detect, else what was fetched
-      pasdedeux reconstruct front.json --camera side.json --out out/      a take that two cameras saw
+      pasdedeux reconstruct walk/ --out out/      BVH, npz, a GLB and a page
+      pasdedeux reconstruct dance.mp4 --out out/  film: --detect, else as fetched
+      pasdedeux reconstruct walk/ --database projections:duets --follow
+                                                  live: JSON lines, frame by frame
+      pasdedeux reconstruct front.json --camera side.json --out out/
+                                                  a take that two cameras saw
 
     Image size, rate and focal length come from the files if stated there, else from --set with the keys of a study
     (image_size_px, rate_hz, focal_px or fov_deg).  --set people_file=FILE overrides identities with an edited copy of

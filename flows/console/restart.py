@@ -61,7 +61,7 @@ def restart(
 
     \b
       pasdedeux restart draws:duets/ic-seed0#17
-      pasdedeux restart draws@3fa9c1#17 --set chains.num_draws=5000 --set chains.proposal=velocity
+      pasdedeux restart draws@3fa9c1#17 --set chains.num_draws=5000
 
     The draw is written to a JSON file, which you can edit and name with --edited, and becomes the only seed of a new
     study with the settings of the original.  The study runs up to its chains; everything else is in the store already.

@@ -81,7 +81,7 @@ def retarget(
     name, or a .safetensors file written by `export`.
 
     \b
-      pasdedeux retarget a.bvh b.bvh --to 02.asf --model ridge_adapted@models/cross_interaction --out b_as_02
+      pasdedeux retarget a.bvh b.bvh --to 02.asf --model ridge_adapted --out new
 
     It writes a BVH and an npz file per person, as `export` does, with UNITS.txt and CREDITS.txt.
     """

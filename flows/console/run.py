@@ -111,11 +111,11 @@ def run(
 
     \b
     Examples:
-      pasdedeux run                                  the built-in duets, into ./store
+      pasdedeux run                  the built-in duets, into ./store
       pasdedeux run my.toml --store /data/store --workers 8
       pasdedeux run my.toml --set chains.num_chains=4 --until chains
-      pasdedeux run my.toml --preview                a first look: the 4 s with most contact of each take
-      pasdedeux run my.toml --open                   and open the report at the end
+      pasdedeux run my.toml --preview   the 4 s with most contact of each take
+      pasdedeux run my.toml --open      and open the report at the end
       pasdedeux run my.toml --scheduler tcp://cluster:8786
       pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
     """

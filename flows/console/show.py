@@ -51,9 +51,9 @@ def show(
     """Print the columns, first rows and lineage of a reference.
 
     \b
-      pasdedeux show poses:duets                 every part of a table, as the last run of a study made it
-      pasdedeux show scores:duets                a table per topic, the best value marked
-      pasdedeux show draws@3fa9c0#17             one row: its poses, joint by joint
+      pasdedeux show poses:duets       a table, as the last run of a study made it
+      pasdedeux show scores:duets      a table per topic, the best value marked
+      pasdedeux show draws@3fa9c0#17   one row: its poses, joint by joint
     """
     opened = open_store(store)
     if has_files:

@@ -75,7 +75,7 @@ def keys(
     \b
       pasdedeux study keys chains
       pasdedeux run --set chains.num_chains=4      a key on the command line
-    \b
+
     In a key, N is a position in a list, counted from 0, and NAME a name of your own.
     """
     graph = graph_of(context)
@@ -107,8 +107,8 @@ def new(
     """Write a commented study for the motion files of one take, a person each, for 2D poses, or for a film.
 
     \b
-      pasdedeux study new waltz.toml                               over the built-in duets
-      pasdedeux study new mine.toml --from a.bvh --from b.bvh      two people of one take
+      pasdedeux study new waltz.toml                      over the built-in duets
+      pasdedeux study new mine.toml --from a.bvh --from b.bvh   people of one take
       pasdedeux study new mine.toml --from openpose_json_folder
       pasdedeux study new mine.toml --from dance.mp4 --keys keys.xml
     """

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
@@ -60,6 +62,22 @@ def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[s
         assert [word for word in words if word.startswith("--") and word not in {*options, "--help"}] == [], line
         if command.name in ("run", "plan", "show") and words and words[0].isidentifier() and words[0].islower():
             assert words[0] in shipped_studies(), line
+
+
+def help_pages(command: Any, *words: str) -> Iterator[tuple[str, str]]:
+    """Return each command and its `--help` on a terminal of 80 columns."""
+    context = typer.Context(command, info_name=" ".join(("pasdedeux", *words)), terminal_width=80)
+    yield " ".join(words), command.get_help(context)
+    for name, below in getattr(command, "commands", {}).items():
+        yield from help_pages(below, *words, name)
+
+
+def test_help_fits_80_columns() -> None:
+    for name in COMMANDS:
+        importlib.import_module(f"flows.console.{name}")
+    pages = dict(help_pages(typer.main.get_command(app)))
+    assert len(pages) > 25
+    assert {(name, line) for name, page in pages.items() for line in page.splitlines() if len(line) > 80} == set()
 
 
 def test_every_study_that_ships_stands_in_the_table_of_studies_and_no_other() -> None:

@@ -13,7 +13,8 @@ from pasdedeux.settings import Settings
 from tasks.curation import CurationSettings
 from tasks.stage import Parameters, Stage
 
-_NOT_STAGES = frozenset({"stage", "graph", "shards"})
+_NO_STAGE = "shards"
+"""Without a stage, and slow to import."""
 
 
 class GraphError(Exception):
@@ -30,7 +31,7 @@ class Graph:
     """
 
     stages: tuple[Stage, ...]
-    upstream: dict[str, tuple[str, ...]] = field(init=False, repr=False)
+    upstream: dict[str, tuple[str, ...]] = field(init=False)
 
     def __post_init__(self) -> None:
         """Order the stages and refuse cycles."""
@@ -122,7 +123,7 @@ def load_graph() -> Graph:
     """Import every stage of this package (a module with a `STAGE`) and return their graph."""
     stages: list[Stage] = []
     for module in pkgutil.iter_modules(tasks.__path__):
-        if module.name in _NOT_STAGES or module.name.startswith("_"):
+        if module.name == _NO_STAGE:
             continue
         stage = getattr(importlib.import_module(f"tasks.{module.name}"), "STAGE", None)
         if isinstance(stage, Stage):

@@ -168,7 +168,7 @@ class EarlyPlan:
         each: Tables of which some artifacts are given, those that are new: each has shards of its own.
     """
 
-    plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
+    plan: Callable[[StageInputs, Any], list[Shard]]
     reads: tuple[str, ...] = ()
     each: tuple[str, ...] = ()
 
@@ -199,13 +199,13 @@ class Stage:
     reads: tuple[str, ...]
     writes: tuple[str, ...]
     parameters: type[Parameters]
-    plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
-    run_shard: Callable[[Shard, Store], ArtifactRef] = field(repr=False)
+    plan: Callable[[StageInputs, Any], list[Shard]]
+    run_shard: Callable[[Shard, Store], ArtifactRef]
     meaning: str = ""
     needs: str = ""
-    check_study: Callable[[Mapping[str, Any]], None] | None = field(default=None, repr=False)
-    early: tuple[EarlyPlan, ...] = field(default=(), repr=False)
-    unread: Callable[[Any], tuple[str, ...]] | None = field(default=None, repr=False)
+    check_study: Callable[[Mapping[str, Any]], None] | None = None
+    early: tuple[EarlyPlan, ...] = ()
+    unread: Callable[[Any], tuple[str, ...]] | None = None
     adds_to: tuple[str, ...] = ()
 
     @property

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -142,7 +142,7 @@ class Cast:
     seen: SeenCast | None = None
     ref: ArtifactRef | None = None
     source_rate_hz: float = 0.0
-    make_rigs: Callable[[RestPose], list[Rig]] | None = field(default=None, repr=False)
+    make_rigs: Callable[[RestPose], list[Rig]] | None = None
 
     @property
     def name_parts(self) -> tuple[str, ...]:

@@ -70,10 +70,10 @@ class Topic(Generic[D]):
     heading: str
     introduction: str
     reads: tuple[str, ...]
-    plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
-    compute: Callable[[Shard, Store], TopicResult[D]] = field(repr=False)
-    draw: Callable[[D], Iterable[Picture]] = field(default=lambda _: (), repr=False)
-    tabulate: Callable[[ScoresOf], Sequence[TextTable]] = field(default=lambda _: (), repr=False)
+    plan: Callable[[StageInputs, Any], list[Shard]]
+    compute: Callable[[Shard, Store], TopicResult[D]]
+    draw: Callable[[D], Iterable[Picture]] = field(default=lambda _: ())
+    tabulate: Callable[[ScoresOf], Sequence[TextTable]] = field(default=lambda _: ())
     settings: type[Parameters] = Parameters
     criteria: tuple[Criterion, ...] = ()
     has_means_first: bool = False

@@ -118,6 +118,7 @@ def put(
     facts: dict[str, Any],
     inputs: tuple[Manifest, ...] = (),
     source: SourceCredit = MADE_UP,
+    files: tuple[tuple[str, str], ...] = (),
     **told: Any,
 ) -> Manifest:
     """Commit what an earlier stage would have written, with further parameters."""
@@ -130,7 +131,7 @@ def put(
         parameters={"name": name, **told},
         seed=0,
         inputs=[manifest.ref for manifest in inputs],
-        files=[],
+        files=files,
         tables=tables,
         facts=facts,
         sources=[source],

@@ -63,6 +63,9 @@ def test_clips_say_joints_rate_and_unit_and_give_numpy_and_pandas(store: Store) 
     variant = Data(store.root).variants(f"toy/{take.name}")[0]
     assert variant.source is not None
     assert (variant.name, variant.source.name) == (f"{take.name}, A-uniform-0.80", take.name)
+    assert repr(take) == f"Clip(name='{take.name}', source=None, verdict='{take.verdict}')"
+    assert repr(variant) == f"Clip(name='{variant.name}', source={variant.source}, verdict='{variant.verdict}')"
+    assert repr(Data(store).draws("toy")) == "Pairs(name='draws:toy')"
     assert np.asarray(variant).shape == np.asarray(take).shape == (30, 2, 22, 3)
     rows = variant.pandas()
     wrist = variant.positions_m[3, 1, BODY22.index("left_wrist")]

@@ -258,9 +258,10 @@ def test_a_model_whose_validation_still_fell_in_its_last_segment_is_marked_on_th
 
 def test_networks_trained_with_several_seeds_stand_together_and_their_segments_make_a_curve() -> None:
     values = {"copy": 4.0, "net": 1.0, "net_seed1": 1.5, "net_seed2": 2.0}
-    errors = {name: [{"E_r": value, "PWD": 1.0}] for name, value in values.items()}
-    _, seeds = model_tables(model_scores(errors, split="random test", item="all"))
+    errors = {name: [{"E_r": value, "PWD": 1.0, "JPD": value}] for name, value in values.items()}
+    _, seeds, contacts = model_tables(model_scores(errors, split="random test", item="all"))
     assert seeds.rows == (("net", "1.50 (1.00 to 2.00, 3 seeds)"),)
+    assert [row[1] for row in contacts.rows] == [f"- / {value:.2f}" for value in (4.0, 2.0, 1.5, 1.0)]
     quantities = np.array(["validation_error_cm", "validation_copy_error_cm", "train_loss"])
     logs = [
         {"model": np.array(["net"] * 3), "step": np.full(3, step), "quantity": quantities, "value": np.array(found)}

@@ -1,6 +1,6 @@
-"""Values that must not change unnoticed: built-in duets and artifact keys.
+"""Values that must not change unnoticed: built-in duets, artifact keys, and the keys of a study.
 
-When one changes on purpose, `python -m tests.golden.test_golden_values` writes the file anew; commit that alone, with
+When one changes on purpose, `python -m tests.golden.test_golden_values` writes the files anew; commit that alone, with
 the reason.
 """
 
@@ -11,11 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from flows.study_keys import study_keys
 from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.skeletons import BODY22
 from storage_schema import artifact_key
+from tasks.graph import load_graph
 
 _FILE = Path(__file__).with_name("golden_values.json")
+_KEYS_FILE = Path(__file__).with_name("study_keys.txt")
 _JOINTS = BODY22.indices(("pelvis", "head", "left_wrist", "right_wrist", "left_toe"))
 _FRAMES = (0, 137, 300, 599)
 _TOLERANCE_M = 1e-6
@@ -36,6 +39,19 @@ def _key() -> str:
     )
 
 
+def _study_keys() -> list[str]:
+    """Return each key of a study with its range, its unit, and its default as an empty section has it."""
+    graph = load_graph()
+    made = {stage.name: stage.parameters.model_validate({}).model_dump(mode="json") for stage in graph.stages}
+    lines = []
+    for key in study_keys(graph):
+        section, _, name = key.name.partition(".")
+        default = made.get(section, {}).get(name, key.default)
+        value = "needed" if key.is_needed else json.dumps(default, sort_keys=True)
+        lines.append(f"{key.name}: {' '.join(filter(None, (key.type, key.unit)))} = {value}")
+    return lines
+
+
 def test_the_built_in_duets_move_as_they_always_did() -> None:
     golden = json.loads(_FILE.read_text())["duets"]
     found = _duet_values()
@@ -48,5 +64,10 @@ def test_the_same_work_has_the_key_it_always_had() -> None:
     assert json.loads(_FILE.read_text())["key"] == _key()
 
 
+def test_the_keys_of_a_study_have_the_ranges_and_the_defaults_they_always_had() -> None:
+    assert _study_keys() == _KEYS_FILE.read_text(encoding="utf-8").splitlines()
+
+
 if __name__ == "__main__":
+    _KEYS_FILE.write_text("\n".join([*_study_keys(), ""]), encoding="utf-8")
     _FILE.write_text(json.dumps({"duets": _duet_values(), "key": _key()}, indent=1) + "\n")

@@ -180,7 +180,7 @@ class Judge:
                 self._sound.add(killer)
                 return Outcome("killed", killer, num_run + 1)
             self._broken.add(killer)
-            waiting = [test for test in waiting if test != killer]
+            waiting.remove(killer)
         return Outcome("survived" if num_run else "not covered", num_tests=num_run)
 
     def _within_budget(self, tests: list[str]) -> list[str]:

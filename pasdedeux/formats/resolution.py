@@ -33,7 +33,6 @@ class Stated:
     layout: str = "auto"
     rate_hz: float | None = None
     metres_per_unit: float | None = None
-    up_axis: str = "auto"
 
 
 @dataclass(frozen=True)

@@ -71,11 +71,12 @@ def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:
     server.end()
 
 
+@pytest.mark.parametrize("said", ["echo the reason", "echo Traceback; echo ' the reason '; echo"])
 def test_a_server_that_cannot_start_is_named_with_its_last_words(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, said: str
 ) -> None:
     broken = tmp_path / "python"
-    broken.write_text("#!/bin/sh\necho Traceback >&2\necho the reason >&2\nexit 7\n")
+    broken.write_text(f"#!/bin/sh\n{{ {said}; }} >&2\nexit 7\n")
     broken.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(broken))
     with starting_server() as server, pytest.raises(ServerError, match=r"code 7 instead of starting: the reason$"):

@@ -134,10 +134,15 @@ def test_a_study_is_refused_whose_model_cannot_do_what_is_asked(tmp_path: Path) 
 
     check()
     check(model="ridge_scale", scales=[0.9])
+    check(key_frames={"waltz": keys})
+    empty = tmp_path / "empty.json"
+    empty.write_text("{}")
     for values, sentence in (
         ({"model": "paper_cvae"}, "'paper_cvae' is not trained here; trained are copy, naive_fk, ridge_scale"),
         ({"model": "ridge_scale"}, "'ridge_scale' draws no bodies, so scales must be given"),
         ({"model": "naive_fk", "key_frames": {"waltz": keys}}, "'naive_fk' takes no key frames"),
+        ({"key_frames": {"hug": keys, "waltz": empty}}, r"^generation\.key_frames\.waltz: "),
+        ({"sweep": {"more": {"key_frames": {"waltz": empty}}}}, r"^generation\.key_frames\.waltz: "),
     ):
         with pytest.raises(InputError, match=sentence):
             check(**values)

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flows.viewing.curating import Curation, Moment
 from flows.viewing.kinds import KINDS
 from flows.viewing.scene import Scene
 from flows.viewing.seen import LIMBS22
 from flows.viewing.shelf import Shelf
+from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.skeletons import BODY22, PAIR17
+from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import Manifest, Store
+from tasks.curation import Choosing
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
 from tests.builders.storage_rows import put, random_columns
+from tests.builders.walkers import random_poses
 
 
 def scene_of(shelf: Shelf, table: str, item: int = 0) -> Scene:
@@ -77,24 +84,31 @@ def test_draws_have_the_figures_of_their_chain_beside_other_chains_of_their_seed
     assert alone.title == "this draw in its view"
 
 
-def put_reconstruction(store: Store, found_m: np.ndarray, pitch_deg: float) -> Manifest:
+def put_reconstruction(
+    store: Store,
+    found_m: np.ndarray,
+    pitch_deg: float,
+    name: str = "film hidden",
+    inputs: tuple[Manifest, ...] = (),
+    op14_m: np.ndarray | None = None,
+) -> Manifest:
     """Commit what was reconstructed of the held-out take (frame, 2, 22, 3), the last frames first."""
     frames = np.repeat(np.arange(FRAMES - 1), 2)[::-1]
     persons = np.tile([0, 1], FRAMES - 1)[::-1]
     columns = random_columns("motions", len(frames)) | {
-        "sequence_id": ["film hidden"] * len(frames),
+        "sequence_id": [name] * len(frames),
         "method": ["windows"] * len(frames),
         "person_id": persons,
         "frame": frames,
         "time_s": frames / RATE_HZ,
         "body22_m": found_m[frames, persons],
-        "op14_m": np.zeros((len(frames), 14, 3)),
+        "op14_m": np.zeros((len(frames), 14, 3)) if op14_m is None else op14_m[frames, persons],
         "score_m": 0.1 * persons + 0.01 * frames,
         "match_take_id": [f"take {person}" for person in persons],
         "match_frame": (10 * frames).tolist(),
     }
-    facts = {"kind": "motions", "sequence_ids": ["film hidden"], "sequence_takes": ["hidden"], "pitch_deg": pitch_deg}
-    return put(store, "reconstruction", "film hidden", {"motions": columns}, facts)
+    facts = {"kind": "motions", "sequence_ids": [name], "sequence_takes": ["hidden"], "pitch_deg": pitch_deg}
+    return put(store, "reconstruction", name, {"motions": columns}, facts, inputs)
 
 
 def test_a_reconstruction_stands_upright_before_the_capture_and_its_error_is_of_limbs_about_the_root(
@@ -134,3 +148,73 @@ def test_the_camera_of_a_reconstruction_is_where_its_people_are_seen_in_the_imag
     assert without.behind is None
     assert list(without.curves) == ["match_distance_m"]
     assert scene_of(Shelf(store, [motions.ref], [videos[1].ref]), "motions").camera is not None
+
+
+def test_a_clip_of_a_reconstruction_is_chosen_said_and_forgotten_in_any_of_its_frames(
+    store: Store, tmp_path: Path
+) -> None:
+    """The first frame of the reconstruction is frame 2 of its sequence: clips are kept by those of the sequence."""
+    shelf = Shelf(store, [put_reconstruction(store, pairs_of(0, 22)[1:], 0.0, "film").ref])
+    part = shelf.parts[0]
+    (item,) = shelf.items(part)
+    scene = replace(scene_of(shelf, "motions"), numbers=np.arange(FRAMES - 1) + 2)
+    choosing = Choosing(tmp_path / "curation.txt")
+    curation = Curation(shelf, choosing)
+
+    def at(frame: int) -> Moment:
+        return Moment(part, item, scene, frame)
+
+    curation.mark("end", at(6))
+    assert curation.clip == (0, 6)
+    curation.mark("start", at(3))
+    assert curation.clip == (3, 6)
+    assert curation.lines(at(0))[0].startswith("clip of frames 3 to 6: ")
+    name = "/".join(item.names)
+    for frame, is_in in ((2, False), (3, True), (6, True), (7, False)):
+        curation.begin((3, 6))
+        said = curation.decide("reject", at(0), "blurred")
+        ((frames, choice),) = choosing.clips("motions", name).items()
+        assert (frames, choice.decision, choice.reason) == ((5, 8), "reject", "blurred")
+        assert said.startswith(f"motions {choice.name}: rejected")
+        curation.begin()
+        assert curation.lines(at(0))[1:] == [f"frames 3 to 6 {choice.words}"]
+        curation.decide("undo", at(frame), "")
+        assert (not choosing.clips("motions", name)) is is_in
+    curation.mark("start", at(8))
+    assert curation.clip == (8, FRAMES - 2)
+    curation.mark("end", at(2))
+    assert curation.clip == (2, 2)
+
+
+@pytest.mark.parametrize("most", [300_000, 90])
+def test_the_nearest_poses_of_its_database_stand_beside_a_reconstruction(
+    store: Store, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    """A and B are poses of the database, turned and moved: nothing but these is at no distance."""
+    monkeypatch.setattr("flows.viewing.kinds._MAX_PROJECTIONS", most)
+    poses = centre_and_face(random_poses(np.random.default_rng(4), 5, spread=0.8)).poses_m
+    rows = random_columns("projections", 5) | {"op14_m": poses, "take_id": list("vwxyz"), "frame": 10 * np.arange(5)}
+    facts = {"kind": "projections", "rate_hz": RATE_HZ, "pitches_deg": [15.0], "num_poses": 5}
+    database = put(store, "projections", "database", {"projections": rows}, facts)
+    camera, places = DatabaseCamera(math.radians(15.0)), {"A": (2, 7), "B": (4, 20)}
+    turned = [poses[row] @ yaw_rotmat(2.0 * np.pi * yaw / 30).T for row, yaw in places.values()]
+    seen = np.tile(np.array(turned) @ camera.camera_from_upright_rotmat.T + [3.0, 1.0, 2.0], (FRAMES - 1, 1, 1, 1))
+    motions = put_reconstruction(store, pairs_of(0, 22)[1:], 15.0, "film", (database,), seen)
+    scene = scene_of(Shelf(store, [motions.ref]), "motions")
+    assert scene.nearest is not None
+    flats = scene.nearest(4)
+    assert [flat.title.partition(":")[0] for flat in flats] == ["A"] * 3 + ["B"] * 3
+    for person, flat in enumerate(flats[::3]):
+        row, _ = places["AB"[person]]
+        assert flat.title == f"{'AB'[person]}: {'vwxyz'[row]} frame {10 * row}, 0.0 cm"
+        assert (flat.skeleton, len(flat.points_px)) == (OP14, person + 1)
+        assert np.isnan(flat.points_px[:person]).all(), "in the colour of this person"
+        image = flat.points_px[person] - flat.points_px[person].mean(axis=0)
+        wanted = 400.0 * (seen[0, person, :, :2] - seen[0, person, :, :2].mean(axis=0)) * [1.0, -1.0]
+        np.testing.assert_allclose(image, wanted, atol=0.01)
+    takes = {flat.title[3] for flat in flats}
+    assert takes <= set("vwxyz" if most > 150 else "vxz"), "every second pose where there are too many"
+    bare = put_reconstruction(store, pairs_of(0, 22)[1:], 15.0, "bare")
+    alone = scene_of(Shelf(store, [bare.ref]), "motions")
+    assert alone.nearest is not None
+    assert alone.nearest(4) == []

@@ -289,3 +289,54 @@ def test_film_stands_behind_the_people_where_the_camera_saw_them_and_browsers_lo
     assert screen.visible
     viewer.room.show(viewer.scene, "hidden")
     assert (screen.visible, viewer.server.scene.get_handle_by_name("/camera").visible) == (False, False)
+
+
+def choose(widget: Any, value: Any) -> None:
+    """Give a widget a value as a browser does."""
+    widget.value = value
+    for heard in list(widget._impl.update_cb):
+        heard(SimpleNamespace(client=client(), target=widget))
+
+
+def test_every_widget_of_the_panel_does_what_it_says(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    show(viewer, "none")
+    viewer.play(True)
+    pane = viewer.shown
+    choose(pane.timeline, 4)
+    assert (viewer.frame, viewer.is_playing) == (4, False)
+    choose(pane.timeline, 1)
+    assert viewer.frame == 1
+    last = pane.item.options[-1]
+    choose(pane.item, last)
+    assert viewer.index == viewer.listing.order[len(pane.item.options) - 1]
+    viewer.seek(3)
+    choose(pane.compare, "hidden")
+    assert (viewer.room._grey, viewer.frame) == (None, 3), "the moment stays"
+    choose(pane.beside, "2")
+    assert (len(viewer.room._more), viewer.frame) == (1, 3)
+    choose(pane.part, pane.part.options[0])
+    assert (viewer.index, viewer.frame) == (0, 0)
+    choose(viewer.listing.only, "fail")
+    assert [viewer.shelf.items(viewer.part)[at].names[1] for at in viewer.listing.order] == ["A-uniform-0.80"]
+    assert viewer.item.names[1] == "A-uniform-0.80"
+    choose(viewer.listing.only, "accepted")
+    assert viewer.panel.message.value == "no item matches the filter"
+    choose(viewer.listing.only, "all")
+    assert (len(viewer.listing.order), viewer.panel.message.value) == (4, "")
+    looked: list[str] = []
+    monkeypatch.setattr(viewer, "look", lambda: looked.append("look"))
+    monkeypatch.setattr(viewer, "show_frame", lambda: looked.append("frame"))
+    monkeypatch.setattr(viewer, "play", lambda is_playing=None: looked.append(f"play {is_playing}"))
+    for widget, value, wanted in (
+        (pane.nearest, True, ["look"]),
+        (pane.film, False, ["look"]),
+        (viewer.playing.marks, False, ["frame"]),
+        (viewer.playing.speed, viewer.playing.speed.options[0], ["play False"]),
+        (viewer.curves.chosen, viewer.curves.chosen.options[-1], ["look"]),
+    ):
+        looked.clear()
+        choose(widget, value)
+        assert looked == wanted
+    for heard in pane.view._impl.update_cb:
+        heard(SimpleNamespace(client=(browser := client()), target=SimpleNamespace(value="top")))
+    np.testing.assert_allclose(browser.camera.position[1], viewer.room._middle[1] + 3.4)

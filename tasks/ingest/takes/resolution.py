@@ -83,7 +83,7 @@ def resolve_file(
     """Return what a motion file is taken to be: by what is stated, what is known of published files, its content."""
     stated = Stated()
     if options is not None:
-        stated = Stated(options.layout or "auto", options.rate_hz, options.metres_per_unit, options.up_axis or "auto")
+        stated = Stated(options.layout or "auto", options.rate_hz, options.metres_per_unit)
     path = Path(file.path)
     of_rest = rest.skeleton, rest.rest_offsets.tobytes(), rest.rate_hz, rest.metres_per_unit
 

@@ -1,4 +1,4 @@
-"""Values that must not change unnoticed: built-in duets, artifact keys, and the keys of a study.
+"""Values that must not change unnoticed: built-in duets, artifact keys, the keys of a study, and options of commands.
 
 When one changes on purpose, `python -m tests.golden.test_golden_values` writes the files anew; commit that alone, with
 the reason.
@@ -6,11 +6,17 @@ the reason.
 
 from __future__ import annotations
 
+import importlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import typer
 
+from flows.console.app import COMMANDS
+from flows.console.context import app
 from flows.study_keys import study_keys
 from pasdedeux.choreography.duets import DUETS, make_duet
 from pasdedeux.skeletons import BODY22
@@ -19,6 +25,7 @@ from tasks.graph import load_graph
 
 _FILE = Path(__file__).with_name("golden_values.json")
 _KEYS_FILE = Path(__file__).with_name("study_keys.txt")
+_OPTIONS_FILE = Path(__file__).with_name("options.txt")
 _JOINTS = BODY22.indices(("pelvis", "head", "left_wrist", "right_wrist", "left_toe"))
 _FRAMES = (0, 137, 300, 599)
 _TOLERANCE_M = 1e-6
@@ -68,6 +75,29 @@ def test_the_keys_of_a_study_have_the_ranges_and_the_defaults_they_always_had() 
     assert _study_keys() == _KEYS_FILE.read_text(encoding="utf-8").splitlines()
 
 
+def _options(command: Any, path: str) -> Iterator[str]:
+    """Yield each argument and option of a command and of those below it, with its range and its default."""
+    for one in command.params:
+        names = "/".join((*one.opts, *one.secondary_opts)) if one.param_type_name == "option" else one.name
+        limits = [f"{sign} {limit}" for sign, limit in ((">=", one.min), ("<=", one.max)) if limit is not None]
+        said = ("needed", one.required), ("many", one.multiple or one.nargs != 1), ("hidden", one.hidden)
+        words = ", ".join((*limits, *(word for word, is_so in said if is_so)))
+        yield f"{path} {names}: {words}{' = ' if words else '= '}{one.default}".rstrip()
+    for name, below in sorted(getattr(command, "commands", {}).items()):
+        yield from _options(below, f"{path} {name}")
+
+
+def _command_options() -> list[str]:
+    for name in COMMANDS:
+        importlib.import_module(f"flows.console.{name}")
+    return list(_options(typer.main.get_group(app), "pasdedeux"))
+
+
+def test_commands_have_the_options_ranges_and_defaults_they_always_had() -> None:
+    assert _command_options() == _OPTIONS_FILE.read_text(encoding="utf-8").splitlines()
+
+
 if __name__ == "__main__":
+    _OPTIONS_FILE.write_text("\n".join([*_command_options(), ""]), encoding="utf-8")
     _KEYS_FILE.write_text("\n".join([*_study_keys(), ""]), encoding="utf-8")
     _FILE.write_text(json.dumps({"duets": _duet_values(), "key": _key()}, indent=1) + "\n")

@@ -11,6 +11,7 @@ import pytest
 
 from flows.console import main
 from flows.console import run as run_module
+from flows.console.app import run_command_line
 from flows.console.context import say
 from flows.console.display import BarListener
 from flows.console.show import _short, joint_lines
@@ -27,6 +28,7 @@ from tasks import ingest
 from tasks.stage import Parameters, Shard, StageInputs
 from tests.builders.ingest_runs import write_figure_pair
 from tests.builders.source_samples import csv_text, figure_motion
+from tests.builders.storage_rows import commit_rows
 from tests.builders.terminals import Screen
 
 LONG = "chains: done in 12 s; warn: prior alone performed about as well as chains, ahead by 2.5 cm (-0.3 to 5.1 cm)"
@@ -193,3 +195,21 @@ def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
 )
 def test_values_of_a_row_are_rounded_and_long_arrays_are_their_shapes(value: object, shown: object) -> None:
     assert _short(value) == shown
+
+
+def test_where_a_row_comes_from_is_named_artifact_by_artifact_with_its_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = Store(tmp_path / "store")
+    first = commit_rows(store, "takes", 2, stage="ingest", partition="waltz", files=(("film.avi", "ab" * 32),))
+    draws = commit_rows(store, "draws", 3, stage="chains", partition="ic", name="seed0", inputs=(first,))
+    assert run_command_line(["show", f"draws@{draws.key[:16]}", "--store", str(store.root), "--rows", "0"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == "3 rows in 1 artifact"
+    at = lines.index("comes from:")
+    assert lines[at + 1 : at + 4] == [
+        f"  chains@{draws.key[:12]} ic seed0",
+        f"    ingest@{first.key[:12]} waltz 0",
+        "  file film.avi (sha256 abababababab, read by ingest)",
+    ]
+    assert "first rows:" not in lines

@@ -15,6 +15,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
+from typing import Any
 
 import dask
 import numpy as np
@@ -29,6 +30,9 @@ from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from storage_schema.durable import cache_folder
 from storage_schema.provenance import package_versions
+from tasks import lifting, reconstruction, selection
+from tasks.chains import run as chains_run
+from tasks.evaluation import coverage
 from tasks.ingest.film.detector_files import NetworkAddress
 from tasks.kept import kept
 from tasks.shards import (
@@ -44,6 +48,7 @@ from tasks.shards import (
     run,
     worker_environment,
 )
+from tasks.shards.jobs_here import _JobHere
 from tasks.shards.profiles import cluster_class, read_profile, started
 from tasks.shards.running import _scheduler_is_there
 from tasks.stage import Shard, StageInputs
@@ -571,3 +576,28 @@ def test_a_call_that_is_cancelled_on_its_way_says_that_the_scheduler_is_gone() -
             sync(runner.loop, cancelled)
     finally:
         runner.stop()
+
+
+@pytest.mark.parametrize(
+    ("function", "count"),
+    [
+        (coverage._ready_draws, 1),
+        (selection.select_pairs, 1),
+        (lifting._indexed_draws, 1),
+        (lifting._compared, 1),
+        (lifting._searched, 1),
+        (chains_run._evidence, 2),
+        (chains_run._gathered, 1),
+        (reconstruction._read_ready, 1),
+    ],
+)
+def test_what_many_shards_make_ready_alike_is_kept_from_shard_to_shard(function: Any, count: int) -> None:
+    assert function.cache_parameters()["maxsize"] == count
+
+
+def test_of_a_job_that_ends_without_a_worker_the_last_words_are_quoted(tmp_path: Path) -> None:
+    script = tmp_path / "job.sh"
+    script.write_text("head -c 3000 /dev/zero | tr '\\0' x\necho the end >&2\nexit 3\n")
+    with pytest.raises(RuntimeError) as caught:
+        asyncio.run(_JobHere._submit_job(SimpleNamespace(), str(script)))  # type: ignore[arg-type]
+    assert str(caught.value) == f"a job ended with code 3; it said: {('x' * 3000 + 'the end' + chr(10))[-2000:]}"

@@ -12,7 +12,7 @@ import pytest
 
 from flows.viewing import kinds
 from flows.viewing.curves import plot_curves
-from flows.viewing.room import across
+from flows.viewing.room import _ball, _grid, _pale, _surface, across
 from flows.viewing.shelf import Shelf
 from flows.viewing.side import PAPER
 from flows.viewing.viewer import Viewer
@@ -102,3 +102,37 @@ def test_the_nearest_poses_of_a_person_are_of_the_image_about_the_hips_in_its_co
         wanted = (projected[row, yaw] - projected[row, yaw][0]) * [1.0, -1.0]
         np.testing.assert_allclose(own / np.linalg.norm(own), wanted / np.linalg.norm(wanted), atol=1e-6)
         assert np.isnan(flat.points_px[:person]).all()
+
+
+def test_the_floor_is_a_square_of_lines_a_metre_apart_each_drawn_once() -> None:
+    lines = _grid(4.0)
+    assert {tuple(line.ravel().tolist()) for line in lines} == {
+        (x, 0.0, z, x, 0.0, z + 1.0) for x in range(-2, 3) for z in range(-2, 2)
+    } | {(x, 0.0, z, x + 1.0, 0.0, z) for x in range(-2, 2) for z in range(-2, 3)}
+    assert lines.shape == (40, 2, 3)
+
+
+@pytest.mark.parametrize("sides", [8, 16])
+def test_rods_and_balls_are_round_and_closed_and_their_triangles_look_outward(sides: int) -> None:
+    ball, rod = _ball(sides), _surface(np.ones(2), np.array([-0.5, 0.5]), sides)
+    np.testing.assert_allclose(np.linalg.norm(ball.vertices, axis=1), 1.0)
+    assert (ball.vertices[:, 2].min(), ball.vertices[:, 2].max()) == pytest.approx((-1.0, 1.0))
+    assert len(ball.vertices) == sides * (sides // 2 + 1)
+    np.testing.assert_allclose(np.linalg.norm(rod.vertices[:, :2], axis=1), 1.0)
+    assert set(rod.vertices[:, 2].tolist()) == {-0.5, 0.5}
+    for mesh, volume in ((ball, 4.0 / 3.0 * np.pi), (rod, None)):
+        a, b, c = mesh.vertices[mesh.faces].swapaxes(0, 1)
+        normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+        middle[:, 2] *= volume is not None
+        is_real = np.linalg.norm(normal, axis=1) > 1e-9
+        assert (np.einsum("ij,ij->i", normal, middle)[is_real] > 0.0).all()
+        assert set(mesh.faces.ravel().tolist()) == set(range(len(mesh.vertices)))
+        if volume is not None:
+            enclosed = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
+            assert 0.7 * volume < enclosed < volume
+        else:
+            assert 0.5 * np.linalg.norm(normal, axis=1).sum() == pytest.approx(2 * sides * np.sin(np.pi / sides))
+
+
+def test_colours_are_darker_than_asked_for_but_black_and_white() -> None:
+    assert _pale(np.array([0, 100, 255])).tolist() == [0, int(255 * (100 / 255) ** 1.5), 255]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flows.viewing.bodies import GAP
 from flows.viewing.editing import Editor
 from flows.viewing.shelf import Shelf
 from flows.viewing.side import Dragged
@@ -156,6 +157,7 @@ def test_a_draw_has_its_annotation_and_the_nearest_ones_beside_it(
     """The draw is the annotated pair itself: nothing but its own image is at no distance."""
     store, named = artifacts
     viewer = begin(editor, "draws")
+    assert GAP not in viewer.scene.curves, "draws follow each other in no time"
     own, matched, *near = viewer.scene.images(0)
     assert (own.title, matched.title) == ("this draw in its view", f"matched: one/view{MATCHED:05d}")
     assert [flat.title.split(", ")[0] for flat in near[:1]] == [f"one/view{MATCHED:05d}"]
@@ -179,6 +181,7 @@ def test_2d_poses_are_lifted_again_as_they_are_now_beside_the_pair_of_before(
     store, named = artifacts
     viewer = begin(editor, "annotations", 2)
     points = editor.image_px()
+    assert (viewer.scene.is_flat, GAP in viewer.scene.curves) == (True, False), "an image has no bodies"
     if moved_px:
         points[1, WRIST] += [moved_px, -moved_px]
         drag = viewer.side.on_drag

@@ -12,8 +12,9 @@ import pytest
 from flows.viewing.curating import Curation, Moment
 from flows.viewing.kinds import KINDS
 from flows.viewing.scene import Scene
-from flows.viewing.seen import LIMBS22
+from flows.viewing.seen import LIMBS22, size_of
 from flows.viewing.shelf import Shelf
+from flows.viewing.viewer import Viewer
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import centre_and_face
@@ -218,3 +219,32 @@ def test_the_nearest_poses_of_its_database_stand_beside_a_reconstruction(
     alone = scene_of(Shelf(store, [bare.ref]), "motions")
     assert alone.nearest is not None
     assert alone.nearest(4) == []
+
+
+def test_2d_poses_stand_as_they_were_captured_until_they_are_asked_for(store: Store) -> None:
+    _, videos, poses = put_truth(store, "body22_m")
+    viewer = Viewer(Shelf(store, [videos[0].ref]))
+    try:
+        np.testing.assert_allclose(viewer.scene.people.positions_m, poses["seen"][1:], atol=1e-6)
+        assert (viewer.scene.people.skeleton, viewer.scene.camera is None) == (BODY22, False)
+        viewer.wants_flat = True
+        viewer.show_item(0)
+        assert viewer.scene.people is viewer.scene.flat
+        assert (viewer.scene.people.skeleton, viewer.scene.camera) == (PAIR17, None)
+    finally:
+        viewer.stop()
+
+
+@pytest.mark.parametrize(
+    ("size", "points", "wanted"),
+    [
+        ((640.0, 360.0), [[[5000.0, 1.0]]], (640, 360)),
+        ((640.0, np.nan), [[[np.nan, np.nan]]], (640, 480)),
+        ((np.nan, 360.0), [[[10.0, 20.0], [np.nan, np.nan]], [[110.0, 45.0], [70.0, 220.0]]], (190, 300)),
+        ((np.nan, np.nan), [[[-10.0, -30.0]], [[110.0, 220.0]]], (200, 330)),
+    ],
+)
+def test_an_image_of_unknown_size_holds_all_that_was_seen_with_a_margin(
+    size: tuple[float, float], points: list[list[list[float]]], wanted: tuple[int, int]
+) -> None:
+    assert size_of(*size, np.array(points)) == wanted

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,37 +19,17 @@ from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES
-from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks.annotated_pairs import read_seen_pairs
 from tasks.lifting import lift_again
+from tests.builders.drawn_pairs import put_draws, put_seeds
 from tests.builders.sampling_store import pairs_of, put_annotations, put_take
-from tests.builders.storage_rows import put, random_columns
 from tests.builders.toy_runs import wait_until
 
 WRIST = PAIR17.index("left_wrist")
 NUM_DRAWS, MATCHED = 5, 7
 """Draws of the chain; the first of them is this frame of the take, which was annotated."""
-
-
-def put_seeds(store: Store, pairs_m: np.ndarray, name: str = "seeds", **told: Any) -> Manifest:
-    rows = random_columns("seeds", len(pairs_m)) | {"pair17_m": pairs_m, "seed_index": np.arange(len(pairs_m))}
-    rows |= {"origin": ["lifted"] * len(pairs_m), "take_id": ["one"] * len(pairs_m)}
-    return put(store, "seeds", name, {"seeds": rows}, {"kind": "grown_seeds", "takes": ["one"]}, **told)
-
-
-def put_draws(store: Store, name: str, pairs_m: np.ndarray, inputs: tuple[Manifest, ...], seed: np.ndarray) -> Manifest:
-    chart, count = PairChart(seed), len(pairs_m)
-    rows = random_columns("draws", count) | {"density": ["ic"] * count, "seed_index": [0] * count, "chain": [0] * count}
-    rows |= {"pair17_m": pairs_m, "parameters": chart.parameters_of(pairs_m), "draw": list(range(count))}
-    rows |= {
-        "sequence_id": [f"one/view{MATCHED:05d}", *[None] * (count - 1)],
-        "view": np.tile([0.0, 0.0, 1.0], (count, 1)),
-    }
-    rows |= {"sequence_frame": [0, *[None] * (count - 1)], "num_accepted": [3] * count}
-    facts = {"kind": "draws", "density": "ic", "takes": ["one"], "num_draws": count}
-    return put(store, "chains", name, {"draws": rows}, facts, inputs, density="ic")
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +41,7 @@ def artifacts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, dict[str
     pairs_m = pairs_of("one")
     seeds = put_seeds(store, pairs_m[:3])
     chosen = pairs_m[MATCHED : MATCHED + NUM_DRAWS]
-    draws = put_draws(store, "draws", chosen, (seeds, annotations, views), pairs_m[0])
+    draws = put_draws(store, "draws", chosen, (seeds, annotations, views), pairs_m[0], matched=f"one/view{MATCHED:05d}")
     named = {"poses": take, "annotations": annotations, "views": views, "seeds": seeds, "draws": draws}
     return store, named
 

@@ -1,0 +1,283 @@
+"""Shards of topics that show and score what stages left in the store: each has a known answer on a tiny case."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras.frames import project_pair, true_direction
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
+from pasdedeux.skeletons import OP14
+from storage_schema import Manifest, Store
+from tasks.annotated_pairs import read_seen_pairs
+from tasks.evaluation import chains, detector, lifting, views
+from tasks.evaluation.ground_truth import GroundTruth
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import StageInputs
+from tests.builders.drawn_pairs import put_draws, put_seeds
+from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, put_lifted, put_truth
+from tests.builders.sampling_store import NUM_FRAMES, pairs_of, put_annotations
+from tests.builders.storage_rows import put, random_columns
+
+PAIRS = pairs_of("one")
+
+
+def computed(topic: Topic[Any], store: Store, name: str, inputs: StageInputs) -> TopicResult[Any]:
+    """Return the result of the shard of this name, as the topic plans it."""
+    planned = {shard.name: shard for shard in topic.plan(inputs, topic.settings())}
+    return topic.compute(planned[name], store)
+
+
+def values_of(result: TopicResult[Any]) -> dict[tuple[str, str, str, str], float]:
+    found = {(one.metric, one.method, one.split, one.item): one.value for one in result.scores}
+    assert len(found) == len(result.scores)
+    return found
+
+
+@pytest.fixture
+def sampled(store: Store) -> tuple[Store, StageInputs]:
+    """Return annotations with their views, and chains of two densities, the first of them in two segments."""
+    annotations, seen = put_annotations(store, "one")
+    seeds = put_seeds(store, PAIRS[:3])
+    known = (seeds, annotations, seen)
+    draws = [
+        put_draws(store, "ic second", PAIRS[20:40], known, PAIRS[0], segment=1),
+        put_draws(store, "ic first", PAIRS[:20], known, PAIRS[0]),
+        put_draws(store, "ic other chain", PAIRS[5:9] + 9.0, known, PAIRS[0], chain=1),
+        put_draws(store, "prior", PAIRS[:4], (seeds,), PAIRS[0], density="prior_only"),
+    ]
+    info = {"density": ["ic", "ic"], "seed_index": [4, 4], "chain": [0, 1], "num_draws": [20, 30]}
+    info |= {"acceptance_rate": [0.2, 0.4], "ess_min": [11.0, 9.0], "rhat_max": [1.1, 1.3], "sigma_l": [0.5, 0.7]}
+    info |= {"log_density_first": [-9.0, -7.0], "log_density_mean": [-5.0, -6.0], "ceiling_share": [0.1, 0.3]}
+    info |= {"travelled_m": [2.0, 3.0], "verdict": ["pass", "warn"], "reason": ["", "it hardly moves"]}
+    alone = {name: [value[0]] for name, value in info.items()} | {"density": ["prior_only"], "sigma_l": [np.nan]}
+    infos = [
+        put(store, "chains", f"info {at}", {"chain_info": random_columns("chain_info", len(rows["chain"])) | rows}, {})
+        for at, rows in enumerate((info, alone))
+    ]
+    tables = {"annotations": [annotations], "views": [seen], "seeds": [seeds], "draws": draws, "chain_info": infos}
+    return store, StageInputs(tables, seed=1)
+
+
+def test_chains_are_summed_up_by_density_and_seed_and_those_that_did_not_pass_are_named(sampled: Any) -> None:
+    store, inputs = sampled
+    result = computed(chains.TOPIC, store, "summary", inputs)
+    found = values_of(result)
+    wanted = {"acceptance_rate_mean": 0.3, "ess_min": 9.0, "rhat_max": 1.3, "sigma_l_mean": 0.6}
+    wanted |= {"log_density_first_mean": -8.0, "log_density_mean": -5.5, "travelled_mean": 2.5}
+    of_seed = {
+        metric: value for (metric, method, _, item), value in found.items() if (method, item) == ("ic", "seed 4")
+    }
+    assert of_seed == pytest.approx(wanted | {"ceiling_share_mean": 0.2})
+    assert {one.count for one in result.scores if one.method == "ic"} == {2}
+    assert not [metric for metric, method, *_ in found if method == "prior_only" and "sigma" in metric]
+    assert result.notes == [
+        f"{in_words('ic')}: 1 of 2 chains did not pass, for example (warn, seed 4): it hardly moves."
+    ]
+    assert set(result.baselines) == {"prior_only"}
+
+
+def test_states_of_the_first_chain_of_each_density_are_shown_from_its_seed_on(sampled: Any) -> None:
+    store, inputs = sampled
+    result = computed(chains.TOPIC, store, "draws", inputs)
+    states_m, labels = result.shown.states["ic"]
+    np.testing.assert_allclose(states_m, PAIRS, atol=1e-6)
+    assert labels == [f"draws:STUDY/ic second#{index}" for index in range(40)]
+    assert len(result.shown.states["prior_only"][0]) == 4
+    found = values_of(result)
+    means = {method: value for (metric, method, *_), value in found.items() if metric == "log_prior_mean"}
+    assert means == {"ic": pytest.approx(-9.5), "prior_only": pytest.approx(-1.5)}
+    pictures = {picture.name: picture for picture in chains.TOPIC.pictures(result)}
+    assert list(pictures) == ["draws-ic.player.json", "draws-prior_only.player.json"]
+    scene = json.loads(pictures["draws-ic.player.json"].content)
+    assert (scene["num_frames"], scene["labels"]) == (40, labels)
+    assert in_words("ic") in pictures["draws-ic.player.json"].caption
+
+
+def test_states_of_a_chain_stand_beside_the_annotations_most_like_them(sampled: Any) -> None:
+    """The states are annotated pairs themselves: each is nearest to its own image."""
+    store, inputs = sampled
+    result = computed(chains.TOPIC, store, "nearest", inputs)
+    (annotations,), (seen,) = inputs.of("annotations"), inputs.of("views")
+    every, _ = read_seen_pairs(store, annotations.ref, seen.ref, num_hypotheses=1)
+    by_frame = {int(place.sequence_id[-5:]): one for place, one in every.items()}
+    rows = result.shown.neighbours["ic"]
+    assert len(rows) == 4
+    for words, (draw, *near) in rows:
+        at = int(words.removeprefix("draw ")) - 1
+        assert draw[0] == "draw"
+        np.testing.assert_allclose(draw[1], project_pair(PAIRS[at], by_frame[at].directions[0]), atol=1e-6)
+        assert len(near) == 3
+        assert near[0][0] == "annotation, 0 cm"
+        np.testing.assert_array_equal(near[0][1], by_frame[at].image_m)
+        assert all(float(label.split()[1]) > 0.0 for label, _ in near[1:])
+    shown_at = [int(words.removeprefix("draw ")) for words, _ in rows]
+    assert shown_at == sorted(shown_at)
+    assert shown_at[0] > 0
+    assert shown_at[-1] < NUM_FRAMES
+    assert [picture.name for picture in chains.TOPIC.pictures(result)] == [
+        f"draws-nearest-{density}.svg" for density in result.shown.neighbours
+    ]
+
+
+def test_lifted_pairs_stand_beside_their_nearest_annotations_and_draws_with_their_expected_error(sampled: Any) -> None:
+    store, inputs = sampled
+    (annotations,) = inputs.of("annotations")
+    expected = {"expected_error_m": 0.204, "expected_low_m": 0.1, "expected_high_m": 0.346}
+    none = dict.fromkeys(expected)
+    place = {"frame": 0, "person_id": 0, "partner_id": 1}
+    rows = [
+        place | expected | {"sequence_id": "one/view00007", "pair17_m": PAIRS[7], "method": "fitted"},
+        place | none | {"sequence_id": "one/view00008", "pair17_m": PAIRS[8], "method": "mean_pair"},
+        place
+        | expected
+        | {"sequence_id": "nowhere", "pair17_m": PAIRS[9], "method": "fitted", "expected_error_m": 0.4},
+    ]
+    lifted = put_lifted(store, "all", rows)
+    lifted = put(
+        store,
+        "lifting",
+        "lifted_pairs of all",
+        {"lifted_pairs": random_columns("lifted_pairs", 3) | {key: [row[key] for row in rows] for key in rows[0]}},
+        dict(lifted.facts),
+        (annotations,),
+    )
+    given = StageInputs({**inputs.manifests, "lifted_pairs": [lifted]}, seed=1)
+    result = computed(lifting.TOPIC, store, "nearest", given)
+    ((label, row),) = result.shown.neighbours
+    assert label == "one/view00007, frame 0: expected error 20 cm, 10 to 35"
+    images = dict(row[:3])
+    np.testing.assert_allclose(images["lifted"], PAIRS[7][..., :2], atol=1e-6)
+    np.testing.assert_allclose(images["from the side"], PAIRS[7][..., [2, 1]], atol=1e-6)
+    assert [words.split(",")[0] for words, _ in row[3:]] == ["annotation"] * 3 + ["draw"] * 3
+    near, draws = row[3:6], row[6:]
+    assert all(float(words.split()[1]) > 0.0 for words, _ in near), "its own annotation is excluded"
+    assert draws[0][0] == "draw, 0 cm"
+    np.testing.assert_allclose(
+        draws[0][1] - draws[0][1].mean(axis=(0, 1)), images["image"] - images["image"].mean(axis=(0, 1)), atol=0.01
+    )
+    found = values_of(result)
+    assert found["expected_error_mean", "fitted", "all", "lifted pairs of all lifted pairs of all"] == pytest.approx(
+        0.302
+    )
+    assert [picture.name for picture in lifting.TOPIC.pictures(result)] == ["nearest.svg"]
+
+
+def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_judged(store: Store) -> None:
+    """The heaviest hypothesis is so many degrees off, the other one is the truth."""
+    takes, videos, _ = put_truth(store)
+    made = []
+    for number, (video, off_deg) in enumerate(zip(videos, (10.0, 25.0), strict=True)):
+        truth = GroundTruth.read(store, [take.ref for take in takes], [video.ref])
+        name, count = next(iter(TURNS)) if number == 0 else list(TURNS)[1], FRAMES - 1
+        directions = []
+        for frame in range(count):
+            take_id, at = truth.frames[name, frame]
+            true = true_direction(truth.takes[take_id][at], truth.cameras[name])
+            axis = np.cross(true, [0.3, -0.5, 0.8])
+            turn = unitquat_from_rotvec(np.radians(off_deg) * axis / np.linalg.norm(axis))
+            directions += [rotate(turn, true), true]
+        rows = random_columns("views", 2 * count) | {
+            "sequence_id": [name] * 2 * count,
+            "frame": np.repeat(np.arange(count), 2),
+            "person_id": [0] * 2 * count,
+            "partner_id": [1] * 2 * count,
+            "hypothesis": np.tile([0, 1], count),
+            "direction": np.array(directions),
+            "weight": np.tile([0.6, 0.4], count),
+            "psi_rad": np.linspace(-1.0, 1.0, 2 * count),
+            "phi_rad": np.linspace(0.5, 2.0, 2 * count),
+        }
+        facts = {"kind": "views", "learned_takes": [], "torso_basis": "", "sequence_ids": [name], "purpose": None}
+        facts |= {"is_held_out": bool(number), "num_annotations": count, "num_without_view": 0, "num_hypotheses": 2}
+        facts |= {"size_ratio": 1.0, "skipped": [f"{name}: one is skipped"]}
+        made.append(put(store, "views", name, {"views": rows}, facts, (video,)))
+    result = computed(
+        views.TOPIC, store, "accuracy", StageInputs({"views": made, "annotations": videos, "poses": takes}, seed=1)
+    )
+    found = values_of(result)
+    for split, off_deg in (("annotated", 10.0), ("held_out", 25.0)):
+        assert found["view_error_mean", "heaviest_hypothesis", split, "all"] == pytest.approx(off_deg, abs=1e-3)
+        assert found["view_error_mean", "best_hypothesis", split, "all"] == pytest.approx(0.0, abs=1e-3)
+    assert result.notes == [f"{name}: one is skipped" for name in TURNS]
+    items = result.items[""]
+    assert set(items.takes) == {"hidden"}
+    np.testing.assert_allclose(items.times_s, (np.arange(FRAMES - 1) + 1) / RATE_HZ)
+    np.testing.assert_allclose(items.values["heaviest_hypothesis"], 25.0, atol=1e-3)
+    assert (len(result.shown.psi_rad), result.baselines) == (4 * (FRAMES - 1), ("mean_view",))
+    (picture,) = views.TOPIC.pictures(result)
+    assert picture.content.count(b"<use") + picture.content.count(b"<path") > 4
+    alone = views.TOPIC.compute(
+        views.TOPIC.shard(StageInputs({}, seed=1), "accuracy", views=[made[0]], annotations=[], takes=[]), store
+    )
+    assert (alone.scores, alone.items) == ([], {})
+    assert alone.notes[-1] == "No true camera is known, so the error of views cannot be measured."
+
+
+def put_followed(store: Store, name: str, found_m: np.ndarray, method: str = "fit") -> Manifest:
+    """Commit people (frame, 2, 14, 3) that were reconstructed of the held-out take."""
+    frames, persons = np.repeat(np.arange(len(found_m)), 2), np.tile([0, 1], len(found_m))
+    columns = random_columns("motions", len(frames)) | {
+        "sequence_id": [name] * len(frames),
+        "method": [method] * len(frames),
+        "person_id": persons,
+        "frame": frames,
+        "time_s": frames / RATE_HZ,
+        "op14_m": found_m.reshape(-1, 14, 3),
+        "is_bridged": [False] * len(frames),
+    }
+    facts = {"kind": "motions", "sequence_ids": [name], "sequence_takes": ["hidden"]}
+    return put(store, "reconstruction", name, {"motions": columns}, facts)
+
+
+def test_a_detector_is_scored_by_who_is_who_and_by_errors_beside_those_of_noise_alone(store: Store) -> None:
+    """Joints are a tenth too far from the mid-hip with noise alone, and three tenths with the detector."""
+    takes, (_, video), poses = put_truth(store, "op14_m")
+    table = store.read(video.ref, "annotations")
+    columns = {name: table[name] for name in (column.name for column in table.table.columns)}
+    name = "film hidden"
+    seen_columns = columns | {"sequence_id": [f"{name}.detector"] * table.num_rows, "time_s": table["frame"] / RATE_HZ}
+    plain_columns = columns | {"time_s": 3.0 * table["frame"] / RATE_HZ}
+    camera = {
+        one.name: store.read(video.ref, "cameras")[one.name] for one in store.read(video.ref, "cameras").table.columns
+    }
+    settled = {"sequence_id": f"{name}.detector", "num_people": 4, "num_true_people": 2, "num_identity_switches": 3}
+    facts = dict(video.facts)
+    detected = put(
+        store,
+        "ingest",
+        "detected",
+        {"annotations": seen_columns, "cameras": camera | {"sequence_id": [f"{name}.detector"]}},
+        facts | {"sequence_ids": [f"{name}.detector"], "detected": [settled | {"couples": [[0, 2], [1, 3]]}]},
+        (takes[1],),
+    )
+    plain = put(store, "ingest", "plain", {"annotations": plain_columns, "cameras": camera}, facts, (takes[1],))
+    true = poses["hidden"][1:] @ TURNS[name].T
+    hip = true[:, :, OP14.indices(["left_hip", "right_hip"])].mean(axis=2, keepdims=True)
+    motions = [
+        put_followed(store, f"{name}{end}", hip + factor * (true - hip))
+        for end, factor in ((".detector", 1.3), ("", 1.1))
+    ]
+    inputs = StageInputs({"motions": motions, "annotations": [detected, plain], "poses": takes}, seed=1)
+    result = computed(detector.TOPIC, store, f"{name}.detector", inputs)
+    assert [shard.name for shard in detector.TOPIC.plan(inputs, detector.TOPIC.settings())] == [f"{name}.detector"]
+    found = values_of(result)
+    for person in (0, 1):
+        median = np.median(np.linalg.norm(true - hip, axis=-1).mean(axis=-1)[:, person])
+        for method, off in (("detector", 0.3), ("noise_alone", 0.1)):
+            value = found["median_error", method, "fit", f"{name} person {person}"]
+            assert value == pytest.approx(off * median, rel=1e-4)
+    minutes = 3.0 * (FRAMES - 2) / RATE_HZ / 60.0
+    figures = {metric: value for (metric, method, *_), value in found.items() if method == "followed"}
+    assert figures == {
+        "identity_switches_per_minute": pytest.approx(3.0 / minutes, rel=1e-4),
+        "extra_people": 2.0,
+        "wrong_pairs": 3.0,
+    }
+    items = result.items[""]
+    assert (list(items.takes), result.baselines) == ([f"{name}.detector"], ("noise_alone",))
+    np.testing.assert_allclose(items.values["followed"], 3.0 / minutes, rtol=1e-4)

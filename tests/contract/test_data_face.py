@@ -24,9 +24,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.motion_players import MAX_LINKS, links_of
 from pasdedeux.skeletons import BODY22
 from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, open_table, record_latest
-from tasks import augmentation
+from tasks import augmentation, moving_picture
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
+from tasks.data import Clip
 from tasks.facts import TakeFacts
 from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs
@@ -235,6 +236,26 @@ def test_the_moving_picture_is_small_whole_and_always_the_same(store: Store) -> 
     for half in (pixels[:, :360], pixels[:, 360:]):
         is_green = (half[..., 1] > half[..., 0] + 60) & (half[..., 1] > half[..., 2] + 30)
         assert is_green.sum() > 10, "contacts are marked"
+
+
+def test_the_moving_picture_is_drawn_of_the_variants_that_are_named(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = Data(store).variants("toy")[0]
+    assert first.part is not None
+    drawn: dict[str, Clip] = {}
+    monkeypatch.setattr(moving_picture, "picture_of", lambda clips: drawn.update(clips) or b"drawn")
+    words = ["--store", str(store.root), "--take", f"toy/{first.part.partition}", "--out", str(tmp_path / "x.webp")]
+    monkeypatch.setattr(sys, "argv", ["", *words, "--variants", "A-uniform-1.20", "A-uniform-0.80"])
+    moving_picture.main()
+    assert first.source is not None
+    take = first.source.name
+    assert {title: clip.name for title, clip in drawn.items()} == {
+        "source": take,
+        "person A at 1.20 of the size": f"{take}, A-uniform-1.20",
+        "person A at 0.80 of the size": f"{take}, A-uniform-0.80",
+    }
+    assert (tmp_path / "x.webp").read_bytes() == b"drawn"
 
 
 def test_a_folder_called_tasks_that_hides_ours_is_named(tmp_path: Path) -> None:

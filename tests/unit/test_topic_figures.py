@@ -16,6 +16,7 @@ from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.completion.errors import completion_errors, in_between_errors
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, kernel_interval
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.reconstruction.film_alignment import FilmAlignment
@@ -253,6 +254,18 @@ def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) 
     item, predicted = cases["worst"]
     assert item.variant_id == "v2"
     assert predicted.shape == item.motion_m.shape
+    errors = models.TOPIC.pictures(result)[0]
+    assert errors.name == "models-random.svg"
+    assert b"models on random test variants" in errors.content
+    assert "on the 3 test variants of split random" in errors.caption
+    players = [json.loads(one.content) for one in models.TOPIC.pictures(result) if one.name.startswith("cases-")]
+    assert [[panel["title"].split(":")[0] for panel in player["panels"]] for player in players] == [list(cases)]
+    assert {player["num_frames"] for player in players} == {2}, "as long as the shortest of them lasts"
+    curves = models.TOPIC.pictures(replace(result, shown=shown._replace(curves={}, cases=("", {}))))
+    assert [one.name for one in curves] == ["models-random.svg"]
+    steps = {"copy": (np.array([1.0, 2.0]), np.array([3.0, 2.5]))}
+    learned = models.TOPIC.pictures(replace(result, shown=shown._replace(curves=steps, cases=("", {}))))
+    assert [one.name for one in learned] == ["models-random.svg", "learning-random.svg"]
     fewer = models.ModelsSettings(num_test_variants=1)
     (shard,) = models.TOPIC.plan(StageInputs(manifests=manifests, seed=3), fewer)
     assert by_name(models.TOPIC.compute(shard, store).scores)["E_r", "copy", "random test", "all"].count == 1
@@ -296,6 +309,13 @@ def test_generated_motion_is_judged_by_the_contacts_of_its_take_in_millimetres(s
     assert result.baselines == ("naive_fk", "strangers")
     assert result.notes[0].endswith("of 1 test take; the model learned from other scales of these takes.")
     assert list(result.shown.motions_m) == ["g0"]
+    (picture,) = generation.TOPIC.pictures(result)
+    assert (picture.name, picture.caption.split(",")[0]) == ("generated-waltz.player.json", "waltz")
+    assert [panel["title"] for panel in json.loads(picture.content)["panels"]] == ["take", "g0"]
+    (table,) = generation.TOPIC.tabulate({"generation": result.scores})
+    assert {row[:2] for row in table.rows} >= {("random test", in_words(name)) for name in ("copy", "solver")}
+    drift = {row[1]: row[table.headings.index(in_words("contact_error"))] for row in table.rows}
+    assert drift[in_words("copy")] == f"{error.value:.3g} mm"
 
 
 def put_motion(store: Store, poses: Mapping[str, np.ndarray], off_m: float) -> Manifest:
@@ -563,3 +583,15 @@ def test_the_truth_is_read_with_its_cameras_and_frames(store: Store) -> None:
     np.testing.assert_allclose(camera.position_m, [0.0, 1.0, 4.0])
     assert truth.where([("seen", 0), ("hidden", 4)]) == (["seen", "hidden"], [0.0, 4 / RATE_HZ])
     json.dumps(truth.where([("seen", 1)]))
+
+
+def test_errors_of_models_are_means_over_variants_of_one_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Any] = []
+    monkeypatch.setattr(models, "curve_figure", lambda panels, **more: drawn.append((panels, more)) or b"")
+    errors = {"copy": [{"E_r": value} for value in (1.0, 3.0, 5.0, 9.0)]}
+    models.model_figure([0.8, 0.81, 1.2, 1.24], errors, baselines=["copy"], split="cross_scale")
+    (([panel], more),) = drawn
+    at, values = panel.curves["copy"]
+    np.testing.assert_allclose(at, [0.8, 1.2, 1.25])
+    np.testing.assert_allclose(values, [2.0, 5.0, 9.0])
+    assert (more["title"], panel.baselines) == ("models on cross scale test variants", ["copy"])

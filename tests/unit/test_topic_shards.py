@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair, true_direction
+from pasdedeux.errors import InputError
 from pasdedeux.evaluation.names import in_words
+from pasdedeux.interaction.nearest import pair_table
+from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.reconstruction.matching import Searcher
+from pasdedeux.reconstruction.unseen_views import CONDITIONS, UnseenMotion
 from pasdedeux.skeletons import OP14
+from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
 from tasks.annotated_pairs import read_seen_pairs
-from tasks.evaluation import chains, detector, lifting, views
+from tasks.draw_sets import read_draw_sets
+from tasks.evaluation import chains, coverage, detector, lifting, unseen_views, views
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import StageInputs
+from tasks.streams import stream
 from tests.builders.drawn_pairs import put_draws, put_seeds
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, put_lifted, put_truth
-from tests.builders.sampling_store import NUM_FRAMES, pairs_of, put_annotations
-from tests.builders.storage_rows import put, random_columns
+from tests.builders.sampling_store import NUM_FRAMES, pairs_of, put_annotations, put_take
+from tests.builders.storage_rows import put, random_columns, take_rows
+from tests.builders.walkers import walk
 
 PAIRS = pairs_of("one")
 
@@ -281,3 +295,79 @@ def test_a_detector_is_scored_by_who_is_who_and_by_errors_beside_those_of_noise_
     items = result.items[""]
     assert (list(items.takes), result.baselines) == ([f"{name}.detector"], ("noise_alone",))
     np.testing.assert_allclose(items.values["followed"], 3.0 / minutes, rtol=1e-4)
+
+
+def test_the_map_of_coverage_has_draws_where_they_lie_ever_more_from_panel_to_panel(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    takes = [put_take(store, "one"), put_take(store, "kept_back", is_held_out=True)]
+    pairs_m = random_pairs(np.random.default_rng(3), 300, spread_rad=0.3)
+    seeds = put_seeds(store, PAIRS[:1])
+    draws = put_draws(store, "ic", pairs_m, (seeds,), PAIRS[0])
+    inputs = StageInputs({"poses": takes, "draws": [draws], "seeds": [seeds]}, seed=1)
+    assert [shard.name for shard in coverage.TOPIC.plan(inputs, coverage.TOPIC.settings())] == list(coverage.SPLITS)
+    result = computed(coverage.TOPIC, store, "held_out", inputs)
+    drawn: list[Any] = []
+    monkeypatch.setattr(coverage, "map_figure", lambda *given, **more: drawn.append((given, more)) or b"<svg/>")
+    pictures = coverage.TOPIC.pictures(result)
+    assert [picture.name for picture in pictures] == ["coverage-held_out.svg", "coverage-map-held_out.svg"]
+    (((places, panels), more),) = drawn
+    plane = PairMap.of(result.shown.truth_m)
+    np.testing.assert_allclose(places, plane.places)
+    assert list(panels) == ["3 draws of each", "30 draws of each", "300 draws of each"]
+    for count, of_method in zip((3, 30, 300), panels.values(), strict=True):
+        assert set(of_method) == {"grown_seeds", "ic"}
+        in_order = read_draw_sets(store, (draws.ref,))["ic"].in_order.astype(np.float64)
+        wanted = plane.place(pair_table(in_order[evenly_spread(count, 400)]))
+        np.testing.assert_allclose(of_method["ic"], wanted, atol=1e-5)
+    assert (more["seed"], more["title"].split(" (")[0]) == (None, "held-out frames and draws")
+    given = result.shown._replace(seed_m=pair_table(PAIRS[:1]))
+    coverage.TOPIC.pictures(replace(result, shown=given))
+    np.testing.assert_allclose(drawn[-1][1]["seed"], plane.place(pair_table(PAIRS[:1]))[0])
+    alike = result.shown._replace(truth_m=np.repeat(result.shown.truth_m[:1], 5, axis=0))
+    names = [picture.name for picture in coverage.TOPIC.pictures(replace(result, shown=alike))]
+    assert names == ["coverage-held_out.svg"], "pairs that are all alike have no map"
+
+
+def test_a_held_out_take_is_seen_and_reconstructed_from_every_direction_in_each_condition(store: Store) -> None:
+    rows, facts = take_rows("held", 2, 24, rate_hz=24.0, is_held_out=True)
+    people = np.stack([walk(24, seed=7), walk(24, seed=8)])
+    take = put(store, "ingest", "held", {"poses": rows | {"op14_m": people.reshape(-1, 14, 3)}}, facts)
+    poses = np.concatenate([centre_and_face(walk(40, seed=seed)).poses_m for seed in (1, 2)])
+    known = random_columns("projections", 80) | {"op14_m": poses, "is_sequence_start": np.arange(80) % 40 == 0}
+    known["body22_unitquat"] = np.tile([0.0, 0.0, 0.0, 1.0], (80, 22, 1))
+    told = {"kind": "projections", "rate_hz": 24.0, "pitches_deg": [12.0], "num_poses": 80}
+    parts = [
+        put(store, "projections", name, {"projections": known}, told | {"takes": takes})
+        for name, takes in (("other", ["other"]), ("same", ["held"]))
+    ]
+    inputs = StageInputs({"poses": [take], "projections": parts}, seed=1)
+    settings = unseen_views.UnseenViewsSettings(unseen_views_deg=(0.0, 75.0))
+    assert unseen_views.PARALLEL_VIEWS.plan(inputs, unseen_views.UnseenViewsSettings()) == []
+    planned = unseen_views.PARALLEL_VIEWS.plan(inputs, settings)
+    assert [shard.name for shard in planned] == [f"held-{number}" for number in range(len(CONDITIONS))]
+    assert [shard.refs("parts") for shard in planned] == [(parts[0].ref,)] * len(CONDITIONS), "none knows the take"
+    result = unseen_views.PARALLEL_VIEWS.compute(planned[0], store)
+    searcher = Searcher.of(Database(poses.astype(np.float32), np.arange(80) % 40 == 0, rate_hz=24.0))
+    found = values_of(result)
+    assert {split for _, _, split, _ in found} == {CONDITIONS[0].name}
+    for person in (0, 1):
+        label = f"held person {person}"
+        motion = UnseenMotion(label, people[person].astype(np.float32).astype(np.float64), 24.0, (0.0, 75.0))
+        draw = partial(stream, 1, "evaluation", "parallel_views", "held", person, 0)
+        scores, _ = unseen_views.unseen_view_scores(searcher, motion, CONDITIONS[0], draw)
+        for one in scores:
+            assert found[one.metric, one.method, one.split, one.item] == pytest.approx(one.value, abs=1e-4), one
+    items = result.items[""]
+    assert (set(items.takes), len(items.takes)) == ({"held"}, 2 * 2 * 24)
+    assert result.notes[0].startswith(f"held against {80 * 30:,} projections; ")
+    pictures = unseen_views.PARALLEL_VIEWS.pictures(result)
+    assert [picture.name for picture in pictures] == [f"parallel_views-held-person-{at}.player.json" for at in (0, 1)]
+    assert json.loads(pictures[0].content)["num_frames"] > 10
+    (table,) = unseen_views.PARALLEL_VIEWS.tabulate({"parallel_views": result.scores})
+    assert [row[:3] for row in table.rows[:1]] == [("held person 0, mean of views", "9.4 cm", "-")]
+    shard = unseen_views.PARALLEL_VIEWS.shard(
+        inputs, "x", planned[0].parameters, take=[take], parts=[parts[1]], clusters=[]
+    )
+    with pytest.raises(InputError, match="the projection database learned from held"):
+        unseen_views.PARALLEL_VIEWS.compute(shard, store)

@@ -69,12 +69,16 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     facts = PriorFacts(
         takes=merge_takes(*(store.manifest(ref) for ref in shard.refs("poses"))),
         num_poses=len(poses),
-        origin="prior takes" if is_learned else f"{origin}: no prior take is named",
+        origin="prior takes" if is_learned else f"{origin}: {_why_default(poses)}",
         explained_variance=float(basis.explained_variance.sum()),
         valid_share=verdict.value if len(poses) else None,
     )
     tables = {"torso_basis": _basis_columns(basis), "joint_limits": _limit_columns(limits)}
     return commit(shard, store, tables=tables, facts=facts, verdict=verdict)
+
+
+def _why_default(poses: np.ndarray) -> str:
+    return f"{len(poses)} prior poses are too few" if len(poses) else "no prior take is named"
 
 
 def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, origin: str) -> Verdict:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -22,13 +23,13 @@ import cv2
 import numpy as np
 import pytest
 
-from flows.console.annotate import film_source
+from flows.console.annotate import _row, film_source
 from flows.console.app import run_command_line
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.film.detectors import DETECTORS, load_detector
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14, PAIR17
@@ -191,6 +192,24 @@ def test_a_folder_of_images_is_a_film_whose_frames_their_names_number(tmp_path: 
     cv2.imwrite(str(tmp_path / "img_0009.png"), painted(0, 9)[:400])
     with pytest.raises(InputError, match="frame 4 is 640 x 400, those before are 640 x 480"):
         found(tmp_path, keys=keys)
+
+
+@pytest.mark.parametrize("rate_hz", [None, 24.0])
+def test_a_rate_that_is_stated_is_that_of_every_shot_and_else_the_films(
+    film: Path, keys: Path, rate_hz: float | None
+) -> None:
+    shots = [shot.parameters for shot in found(film, keys=keys, rate_hz=rate_hz)]
+    assert [(one.first_frame, one.num_frames) for one in shots] == [(0, 20), (20, 20)]
+    assert [one.video_rate_hz for one in shots] == [pytest.approx(rate_hz or 30.0)] * 2
+
+
+def test_a_shot_is_a_row_of_its_frames_people_and_how_their_keypoints_came_about() -> None:
+    parameters = SimpleNamespace(id="walk.shot01", first_number=3, first_frame=5, num_frames=25)
+    kinds = KeypointStatus
+    status = np.array([[kinds.ANNOTATED, kinds.DETECTED], [kinds.TRACKED, kinds.INTERPOLATED], [kinds.ANNOTATED, 0]])
+    frames = SimpleNamespace(person_id=np.array([4, 7, 4]), status=status)
+    row = _row(SimpleNamespace(parameters=parameters), SimpleNamespace(frames=frames), [9, 30])  # type: ignore[arg-type]
+    assert row == ("walk.shot01", "8-32", "2", "2%", "1%", "1%", "1%", "95%", "9 30")
 
 
 def test_a_folder_of_films_needs_a_file_of_key_frames_named_like_each(film: Path, keys: Path, tmp_path: Path) -> None:

@@ -14,16 +14,18 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import OP14, PAIR17
+from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import chains, lifting
+from tasks.annotated_pairs import PairPlace
 from tasks.chains import ChainsParameters
 from tasks.draw_sets import GROWN, read_draw_sets
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
 from tasks.facts import SeedFacts
 from tasks.judgements import verdict_of
-from tasks.lifting import LiftingParameters
+from tasks.lifting import LiftingParameters, _spans
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, pairs_of, run, with_seeds
 from tests.builders.storage_rows import put, random_columns, take_rows
@@ -343,3 +345,19 @@ def test_annotations_that_show_nothing_are_passed_over_and_told(inputs: Any) -> 
     assert verdict.level is Level.FAIL
     assert "40 annotated pairs show too little" in verdict.reason
     assert made.facts["skipped"] == ["blind: 40 annotated pairs were not lifted, too little was seen"]
+
+
+def test_spans_are_a_gap_apart_and_those_between_key_frames_up_to_twice_that() -> None:
+    def at(*frames: int, name: str = "a", person: int = 0) -> list[PairPlace]:
+        return [PairPlace(name, frame, person, 9) for frame in frames]
+
+    every = [(one.frame, two.frame) for one, two in _spans(at(*range(11)), 7, 4)]
+    assert every == [(frame, frame + 4) for frame in range(7)]
+    assert [one.frame for one, _ in _spans(at(*range(11)), 3, 4)] == evenly_spread(7, 3).tolist()
+    places = [*at(20, 8, 3, 1, 0), *at(5, 12, name="b"), *at(7, 16, name="b", person=1), *at(9, name="c")]
+    assert set(_spans(places, 9, 4)) == {
+        tuple(at(1, 3)),
+        tuple(at(3, 8)),
+        tuple(at(5, 12, name="b")),
+    }
+    assert _spans(at(3), 2, 4) == []

@@ -130,6 +130,18 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert source_credits(store, ref) == (MADE_UP,)
 
 
+def test_limits_are_wide_enough_for_what_prior_takes_show(tmp_path: Path) -> None:
+    store, poses = Store(tmp_path), wild(3, 400)
+    columns, facts = take_rows("wild", 1, len(poses), pair17_m=poses)
+    take = put(store, "ingest", "wild", {"poses": columns}, facts | {"is_prior": True})
+    (ref,) = run(priors, store, {"poses": [take]})
+    found, published = read_limits(store, [ref]), JointLimits.published()
+    widened = published.widened(poses, name="prior takes")
+    assert (widened.lower_rad < published.lower_rad).any()
+    np.testing.assert_allclose(found.lower_rad, widened.lower_rad, atol=1e-5)
+    np.testing.assert_allclose(found.upper_rad, widened.upper_rad, atol=1e-5)
+
+
 def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp_path: Path) -> None:
     store = Store(tmp_path)
     (ref,) = run(priors, store, {"poses": [put_take(store, "hug", is_prior=False)]})
@@ -140,6 +152,25 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
     verdict = verdict_of(store.manifest(ref))
     assert verdict is not None
     assert "no prior take is named" in verdict.reason
+    np.testing.assert_allclose(read_limits(store, [ref]).lower_rad, JointLimits.published().lower_rad, atol=1e-6)
+
+
+@pytest.mark.parametrize(("frames", "is_learned"), [(4, False), (5, True)])
+def test_priors_of_few_poses_are_the_defaults_and_that_is_said(tmp_path: Path, frames: int, is_learned: bool) -> None:
+    store = Store(tmp_path)
+    (ref,) = run(priors, store, {"poses": [put_take(store, "waltz", is_prior=True, frames=frames)]})
+    facts, verdict = store.manifest(ref).facts, verdict_of(store.manifest(ref))
+    assert verdict is not None
+    assert (facts["num_poses"], facts["takes"]) == (2 * frames, ["waltz"])
+    if is_learned:
+        assert (facts["origin"], verdict.level, verdict.reason) == ("prior takes", Level.PASS, "")
+    else:
+        assert facts["origin"].endswith(": 8 prior poses are too few")
+        assert (verdict.level, verdict.reason) == (
+            Level.WARN,
+            "8 prior poses are too few to learn from; 10 are needed",
+        )
+        np.testing.assert_array_equal(read_torso_basis(store, (ref,)).mean_m, duet_torso_basis().mean_m)
 
 
 def test_the_default_basis_is_learned_from_the_duets_unless_those_are_what_it_would_lift(tmp_path: Path) -> None:

@@ -214,7 +214,9 @@ def test_status_and_references_say_what_an_older_program_has_made(
     for path in store.glob("*/??/*/manifest.json"):
         path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": 1}))
     assert call("status", "--store", str(store)) == 0
-    assert re.search(r"missing: 14 artifacts, such as \w+@\w+, which is of an older schema", capsys.readouterr().out)
+    assert re.search(
+        r"missing: 14 artifacts, such as \w+@[0-9a-f]{12}, which is of an older schema", capsys.readouterr().out
+    )
     assert call("show", "models:toy", "--store", str(store)) == 1
     assert "of study 'toy' is of an older schema in the store" in capsys.readouterr().err
 

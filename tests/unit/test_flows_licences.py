@@ -6,12 +6,14 @@ import json
 import shutil
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from flows.console.app import run_command_line
+from flows.dataset_folder.describing import _licences
 from flows.planning import StageSelection
-from storage_schema import Store, list_datasets
+from storage_schema import SourceCredit, Store, list_datasets
 from tests.builders.own_sources import write_walk
 from tests.builders.real_study import graph
 from tests.builders.toy_runs import STUDY, run_toys, write_study
@@ -132,3 +134,21 @@ def test_no_dataset_is_made_of_a_report_that_says_an_old_licence(
     outcome = run_toys(study, store, graph=graph())
     assert {one.name: one.num_computed for one in outcome.stages if one.num_computed} == {"evaluation": 1}
     assert run_command_line(create, graph=graph()) == 0
+
+
+@pytest.mark.parametrize(
+    ("licence", "name"),
+    [
+        ("CC-BY-4.0", "CC-BY-4.0"),
+        ("x" * 40, "x" * 40),
+        ("x" * 41, f"LicenseRef-{'x' * 41}"),
+        ("Free for (all) uses!", "LicenseRef-free-for-all-uses"),
+        ("A" * 99, f"LicenseRef-{'a' * 60}"),
+        ("\u00a9 \u00a9", "LicenseRef-unnamed"),
+    ],
+)
+def test_the_licence_of_a_source_is_a_file_whose_name_every_system_takes(licence: str, name: str) -> None:
+    dataset = SimpleNamespace(sources=[SourceCredit("a", licence, "by A"), SourceCredit("b", "CC0-1.0", "by B")])
+    files = _licences(dataset)  # type: ignore[arg-type]
+    assert list(files) == [f"LICENSES/{name}.txt", "LICENSES/CC0-1.0.txt"]
+    assert files[f"LICENSES/{name}.txt"].decode() == f"{licence}\n\nLicence of:\n\na\n  by A\n"

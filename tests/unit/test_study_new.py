@@ -71,6 +71,15 @@ def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> N
         write_new_study(tmp_path / "my study.toml")
 
 
+def test_what_is_said_of_a_file_has_its_length_and_names_stay_as_they_are_written(tmp_path: Path) -> None:
+    (tmp_path / "T\u00e4nzer.bvh").write_text(bvh_text(num_frames=90, rate_hz=60.0))
+    made = new_study(tmp_path / "T\u00e4nzer.bvh")
+    assert 'T\u00e4nzer.bvh"' in made.text
+    assert re.fullmatch(r"found T\u00e4nzer\.bvh: 90 frames \(1\.5 s at 60 Hz\), about 1\.\d\d m tall", made.said[0])
+    amc = new_study(write_walk(tmp_path))
+    assert " s at 120 Hz), about " in amc.said[0], "CMU's of this name has it"
+
+
 def test_a_unit_that_cannot_be_told_is_left_to_the_user(tmp_path: Path) -> None:
     path = tmp_path / "odd.bvh"
     path.write_text(write_bvh(figure_motion(), units_per_metre=7.0))

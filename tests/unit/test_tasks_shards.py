@@ -24,6 +24,7 @@ import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
 from distributed.utils import LoopRunner, sync
+from pydantic import ValidationError
 
 from flows.machine import GIB, cluster_settings, kernel_cache, memory_bytes, usable_cores, why_few
 from pasdedeux.errors import InputError
@@ -49,7 +50,7 @@ from tasks.shards import (
     worker_environment,
 )
 from tasks.shards.jobs_here import _JobHere
-from tasks.shards.profiles import cluster_class, read_profile, started
+from tasks.shards.profiles import ClusterProfile, cluster_class, read_profile, started
 from tasks.shards.running import _scheduler_is_there
 from tasks.stage import Shard, StageInputs
 from tests.builders.toy_runs import ROOT
@@ -601,3 +602,10 @@ def test_of_a_job_that_ends_without_a_worker_the_last_words_are_quoted(tmp_path:
     with pytest.raises(RuntimeError) as caught:
         asyncio.run(_JobHere._submit_job(SimpleNamespace(), str(script)))  # type: ignore[arg-type]
     assert str(caught.value) == f"a job ended with code 3; it said: {('x' * 3000 + 'the end' + chr(10))[-2000:]}"
+
+
+@pytest.mark.parametrize(("key", "least"), [("min_workers", 1), ("max_workers", 1)])
+def test_a_cluster_has_at_least_one_worker(key: str, least: int) -> None:
+    assert getattr(ClusterProfile.model_validate({"cluster": "a.B", key: least}), key) == least
+    with pytest.raises(ValidationError, match="greater than or equal to 1"):
+        ClusterProfile.model_validate({"cluster": "a.B", key: least - 1})

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError, check_whole
 from pasdedeux.evaluation.motion_players import links_of
-from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames, times_shown
 from pasdedeux.evaluation.report import render
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.people.names import person_names
@@ -143,7 +143,10 @@ class Clip:
             panels.append(people_panel(one.name, self.skeleton, one.positions_m[frames], links))
         where = " (left: its source)" if self.source is not None else ""
         where += "; contacts are green" if self._contacts.weights.size else ""
-        return Picture(f"{self.name}{PLAYER}", f"{self.name}{where}", pack_player(panels, rate_hz=rate_hz))
+        times = times_shown(frames, len(self.positions_m), self.rate_hz)
+        return Picture(
+            f"{self.name}{PLAYER}", f"{self.name}{where}", pack_player(panels, rate_hz=rate_hz, labels=times)
+        )
 
     def _repr_html_(self) -> str:
         return _framed(self.picture)

@@ -171,11 +171,15 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdic
 
 def _independent(thing: _Thing, facts: Sequence[Facts], chains: Verdict | None) -> tuple[int, str] | None:
     """Return how many of a thing are independent of each other, in words that people count; None where all are."""
+
+    def some(count: int, what: str, *which: str) -> tuple[int, str]:
+        return count, " ".join((counted(count, what).partition(" ")[2], *which))
+
     if thing.table == "variant_quality":
-        return len({fact.take_id for fact in facts if isinstance(fact, VariantFacts)}), "takes with variants"
+        return some(len({fact.take_id for fact in facts if isinstance(fact, VariantFacts)}), "take", "with variants")
     if thing.table == "annotations":
         sequence_ids = {name for fact in facts if isinstance(fact, SequenceFacts) for name in fact.sequence_ids}
-        return len(sequence_ids), "annotated sequences"
+        return some(len(sequence_ids), "annotated sequence")
     if thing.name == "draws" and chains is not None and chains.figure == "effective sample size":
-        return round(chains.value * chains.count), "independent draws"
+        return some(round(chains.value * chains.count), "independent draw")
     return None

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.arrays import Array, merge_axes
-from pasdedeux.evaluation.pictures import pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.pictures import pack_player, people_panel, shown_frames, times_shown
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
@@ -84,7 +84,7 @@ def seen_player(found_m: Array, cameras: Sequence[SeenBy], *, rate_hz: float) ->
         view = (seen.name, *view_rad) if len(cameras) > 1 else None
         panels.append(replace(people_panel(title, OP14, over, truth_m=image), is_flat=True, view=view))
     panels.append(people_panel("reconstruction", OP14, shown))
-    return pack_player(panels, rate_hz=shown_hz)
+    return pack_player(panels, rate_hz=shown_hz, labels=times_shown(frames, len(found_m), rate_hz))
 
 
 def _about_middle(seen_px: Array, height: float, *others_px: Array) -> list[Array]:

@@ -288,6 +288,17 @@ def shown_frames(num_frames: int, rate_hz: float) -> tuple[Integers, float]:
     return np.arange(start, start + count, step), rate_hz / step
 
 
+def times_shown(frames: Integers, num_frames: int, rate_hz: float) -> list[str]:
+    """Return a label for each frame that is shown of a longer motion, its time in that; none where all of it is shown.
+
+    >>> times_shown(np.array([75, 77]), 300, 30.0), times_shown(np.array([0, 2]), 3, 30.0)
+    (['2.5 of 10.0 s', '2.6 of 10.0 s'], [])
+    """
+    if frames[0] == 0:
+        return []
+    return [f"{frame / rate_hz:.1f} of {num_frames / rate_hz:.1f} s" for frame in frames]
+
+
 def pack_player(
     panels: Sequence[PlayerPanel], *, rate_hz: float, labels: Sequence[str] = (), has_floor: bool = True
 ) -> bytes:

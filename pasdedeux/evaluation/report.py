@@ -28,7 +28,8 @@ _SKINS = "__SKINS__"
 class Section:
     """A section of the report: a heading with its verdicts by name, paragraphs, pictures, and tables that are folded.
 
-    Paragraphs after the first six and pictures after the first four are folded too.
+    Paragraphs after the first six and pictures after the first four are folded too.  The verdict of the stage, whose
+    results it shows, links to it.
     """
 
     heading: str
@@ -36,6 +37,7 @@ class Section:
     tables: tuple[TextTable, ...] = ()
     pictures: tuple[Picture, ...] = ()
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
+    stage: str = ""
 
     @property
     def anchor(self) -> str:

@@ -21,7 +21,10 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "takes": {"ingest": _USABLE},
     "variants": {
         "augmentation": _USABLE,
-        "evaluation: augmentation": {level: f"contacts kept {words}" for level, words in _COMPARED.items()},
+        "evaluation: augmentation": {
+            **{level: f"contacts kept {words}" for level, words in _COMPARED.items()},
+            Level.NOT_JUDGED: "contacts not compared",
+        },
     },
     "draws": {
         "chains": {Level.PASS: "independent", Level.WARN: "not independent", Level.FAIL: "not independent"},
@@ -31,8 +34,8 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "lifted pairs": {"evaluation: lifting": _COMPARED},
     "completed joints": {"evaluation: lifting completed joints": _COMPARED},
     "frames between": {
-        f"evaluation: lifting frames between{ends}": {level: f"{words}{along}" for level, words in _COMPARED.items()}
-        for ends, along in {"": "", " lifted pairs": ", between lifted pairs"}.items()
+        f"evaluation: lifting frames between{ends}": {level: f"{where}{words}" for level, words in _COMPARED.items()}
+        for ends, where in {"": "", " lifted pairs": "between lifted pairs "}.items()
     },
     "reconstruction": {"evaluation: reconstruction": _COMPARED},
     "models": {"evaluation: models": _COMPARED},
@@ -181,6 +184,11 @@ class Summary:
         order = [words for words in (*_ADVICE.values(), _IN_PART) if words in named]
         sentence = "; ".join(words.format(together(named[words])) for words in order)
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether there are verdicts of the evaluation beside those of stages."""
+        return len({name.startswith("evaluation: ") for name in self.verdicts}) == 2
 
     @property
     def ranked(self) -> tuple[dict[str, Verdict], dict[str, Verdict]]:

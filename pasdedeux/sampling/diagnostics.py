@@ -54,16 +54,18 @@ class ChainReport:
     """Diagnostics of one chain and the verdict on it: columns of `chain_info`, NaN if an invariant never moved."""
 
     verdict: Verdict
-    num_draws: int = figure("Draws kept")
+    num_draws: int = figure("Draws kept", words="number of draws")
     acceptance_rate: float = figure("Accepted share of the proposals")
     ess_min: float = figure(
         "Least effective sample size over the invariants of this chain", better="larger", words="effective sample size"
     )
     rhat_max: float = figure("Greatest R-hat over the invariants and the chains of this seed", words="R-hat")
-    log_density_first: float = figure("Log density of the seed")
+    log_density_first: float = figure("Log density of the seed", words="log density of the seed")
     log_density_mean: float = figure("Mean log density of the draws", words="log density")
     ceiling_share: float = figure("Share of the draws in the flat top of a truncated density")
-    sigma_l: float = figure("Bandwidth of the likelihood (lift eq. 9); NaN for a density that reads no annotations")
+    sigma_l: float = figure(
+        "Bandwidth of the likelihood (lift eq. 9); NaN for a density that reads no annotations", words="bandwidth"
+    )
     travelled_m: float = figure("Mean joint distance between the first draw and the last")
 
 

@@ -16,7 +16,15 @@ from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, points_of, reference_motion
 from pasdedeux.augmentation.variations import Variation, variant_in_words
 from pasdedeux.evaluation.motion_players import links_of
-from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.pictures import (
+    CurvePanel,
+    Picture,
+    curve_figure,
+    pack_player,
+    people_panel,
+    shown_frames,
+    times_shown,
+)
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
@@ -281,7 +289,7 @@ def variant_player(source: Source, motions_m: Mapping[str, Array]) -> bytes:
     panels = []
     for name, motion in motions_m.items():
         panels.append(people_panel(name, BODY22, motion[frames], links_of(contacts, motion)[frames], objects))
-    return pack_player(panels, rate_hz=rate_hz)
+    return pack_player(panels, rate_hz=rate_hz, labels=times_shown(frames, source.num_frames, source.rate_hz))
 
 
 TOPIC = Topic(

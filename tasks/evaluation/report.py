@@ -16,7 +16,7 @@ from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.summary import Summary, folded, listed
-from pasdedeux.evaluation.verdicts import part_name, verdict_columns
+from pasdedeux.evaluation.verdicts import part_name, verdict_columns, verdict_words
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
@@ -31,6 +31,8 @@ from tasks.summary import judge, summary_of
 PARTITION = "report"
 _OPENING = ("augmentation", "generation", "reconstruction", "lifting", "takes", "clips")
 """Topics whose moving people the page opens on, the best first."""
+_STAGES = {"takes": "ingest", "models": "training"}
+"""The stage whose results the section of a topic shows, where that is not called like the topic."""
 _MAX_NOTES = 60
 """Sentences of a section, at most; tables have the rest."""
 _MAX_PICTURES = 24
@@ -153,10 +155,13 @@ def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:
         for topic in silent
         if there >= set(topic.reads)
     }
-    asked = [f"{heading} ({', '.join(names)})" for heading, names in keys.items() if names]
+    alike: dict[str, list[str]] = {}
+    for heading, names in keys.items():
+        alike.setdefault(", ".join(names), []).append(heading)
+    asked = [f"{'; '.join(headings)} ({names})" for names, headings in alike.items() if names]
     others = [topic.heading for topic in silent if not keys.get(topic.heading)]
     return [
-        *([f"Not requested: {', '.join(asked)}."] if asked else []),
+        *([f"Not requested: {'; '.join(asked)}."] if asked else []),
         *([f"No data in this run: {', '.join(others)}."] if others else []),
     ]
 
@@ -200,6 +205,7 @@ def _section(
         heading=topic.heading,
         paragraphs=(
             topic.introduction,
+            *_of_stage(topic.name, summary),
             *_shortened(folded(note for part in parts for note in TopicFacts.of(part).notes)),
         ),
         tables=(*topic.tabulate(scores), *([] if means is None else [means]), *figures, *names),
@@ -209,7 +215,14 @@ def _section(
             for name, verdict in summary.verdicts.items()
             if f"{name} ".startswith(f"{part_name(EVALUATION.name, topic.name)} ")
         },
+        stage=_STAGES.get(topic.name, topic.name),
     )
+
+
+def _of_stage(stage: str, summary: Summary) -> list[str]:
+    """Return a sentence on what a stage of this name finds in its own results, where that is not good."""
+    verdict = summary.verdicts.get(stage)
+    return [] if verdict is None or verdict.level is Level.PASS else [f"Stage {stage}: {verdict_words(verdict)}."]
 
 
 def _shortened(notes: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.pictures import COLOUR_NAMES, Picture, pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.pictures import COLOUR_NAMES, Picture, pack_player, people_panel, shown_frames, times_shown
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.people.names import person_names
@@ -53,7 +53,8 @@ def _draw(shown: _ShownTakes) -> Iterator[Picture]:
     """Show the take."""
     take_id, people = shown.facts.take_id, shown.people_m
     frames, shown_hz = shown_frames(len(people), shown.facts.rate_hz)
-    player = pack_player([people_panel(take_id, BODY22, people[frames])], rate_hz=shown_hz)
+    times = times_shown(frames, len(people), shown.facts.rate_hz)
+    player = pack_player([people_panel(take_id, BODY22, people[frames])], rate_hz=shown_hz, labels=times)
     held_out = ", held out" if shown.facts.is_held_out else ""
     coloured = zip(person_names(people.shape[1]), cycle(COLOUR_NAMES), strict=False)
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""

@@ -271,6 +271,10 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
     ours = [name for stage, name in zip(table["stage"], table["partition"], strict=True) if stage == "evaluation"]
     assert {name.split()[0] for name in ours} == judged
     assert {"views", "reconstruction", "augmentation", "models", "sets", "lifting"} <= judged
+    assert "Rows of the evaluation compare results with a baseline" in page
+    sections = {"ingest": "takes", "training": "models", "augmentation": "augmentation", "chains": "chains"}
+    for stage, section in sections.items():
+        assert f'<a href="#{section}"><b>{stage}</b></a>' in page
     card = store.attachment(made[-1].ref, "card.md").decode()
     assert "## Is it good?" in card
     for name in ours:

@@ -12,7 +12,7 @@ from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Store
 from tasks.evaluation import STAGE
-from tasks.facts import ModelFacts
+from tasks.facts import ModelFacts, VariantFacts
 from tasks.stage import StageInputs
 from tasks.summary import summary_of
 from tests.builders.pages import Page
@@ -81,6 +81,24 @@ def test_a_model_without_arrays_counts_as_one(tmp_path: Path) -> None:
     )
     made = put(Store(tmp_path), "training", "copy", {"models": random_columns("models", 0)}, facts.to_json())
     assert summary_of([made]).built.startswith("1 model (")
+
+
+@pytest.mark.parametrize(("num_takes", "words"), [(1, "take with variants"), (2, "takes with variants")])
+def test_takes_of_variants_are_counted_in_the_singular_where_there_is_one(
+    tmp_path: Path, num_takes: int, words: str
+) -> None:
+    facts = [VariantFacts(take_id=f"take{number}") for number in range(num_takes)]
+    made = [
+        put(
+            Store(tmp_path),
+            "augmentation",
+            one.take_id,
+            {"variant_quality": random_columns("variant_quality", 2)},
+            one.to_json(),
+        )
+        for one in facts
+    ]
+    assert [one.independent for one in summary_of(made).made] == [(num_takes, words)]
 
 
 @pytest.mark.parametrize(

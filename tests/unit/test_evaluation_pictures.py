@@ -27,6 +27,7 @@ from pasdedeux.evaluation.pictures import (
     people_panel,
     rgb,
     shown_frames,
+    times_shown,
 )
 from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.score_tables import TextTable
@@ -94,6 +95,10 @@ def test_what_is_shown_of_a_motion_is_five_seconds_at_a_low_rate(num_frames: int
     assert len(frames) <= 5.0 * shown_hz + 1
     assert shown_hz <= 17.0
     assert (np.diff(frames) == round(rate_hz / shown_hz)).all()
+    times = times_shown(frames, num_frames, rate_hz)
+    assert (times == []) == (num_frames / rate_hz <= 5.0)
+    for frame, time in zip(frames if times else (), times, strict=True):
+        assert np.abs(np.float64(time.removesuffix(" s").split(" of ")) * rate_hz - [frame, num_frames]).max() <= 6.0
 
 
 def test_the_image_axes_of_a_panel_are_right_and_up_about_its_middle() -> None:
@@ -281,6 +286,7 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
         "seeds": better,
         "evaluation: lifting": better,
         "evaluation: lifting frames between": worse,
+        "evaluation: lifting frames between lifted pairs": better,
         "evaluation: leave one out": worse,
         "views": worse,
         "evaluation: coverage draws of chains alone": better,
@@ -290,12 +296,12 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
     assert lines[:3] == [
         "built: 1 take (1 min 15 s, 2.0 MB), 4,000 draws (0.1 MB)",
         "from: CMU (licence: free for all uses)",
-        "is it good: 3 fail, 3 pass, 1 warn",
+        "is it good: 3 fail, 4 pass, 1 warn",
     ]
     products = [
         "draws: fail: match left-out images worse than nearest pose; not independent; cover real pairs "
         "better than nearest pose",
-        "frames between: fail: worse than nearest pose",
+        "frames between: fail: worse than nearest pose; between lifted pairs better than nearest pose",
         "lifted pairs: pass: better than nearest pose",
     ]
     assert lines[3:6] == products
@@ -305,6 +311,7 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
         "views",
         "chains",
         "evaluation: coverage draws of chains alone",
+        "evaluation: lifting frames between lifted pairs",
         "evaluation: lifting",
         "seeds",
     ]
@@ -324,6 +331,8 @@ def test_a_product_that_is_not_judged_is_to_be_looked_at_and_the_others_get_thei
     assert summary.advice == f"Use the takes; l{own}"
     assert "reconstruction: not judged: not judged" in summary.headlines()
     assert Summary([], [], {"evaluation: reconstruction": verdicts["evaluation: reconstruction"]}).advice == f"L{own}"
+    kept = {"evaluation: augmentation": verdicts["evaluation: reconstruction"], "augmentation": Verdict(Level.PASS)}
+    assert "variants: not judged: contacts not compared; usable" in Summary([], [], kept).headlines()
 
 
 def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:

@@ -179,7 +179,9 @@ def busy(words: str) -> Iterator[None]:
 
 def say(lines: Iterable[str], *, err: bool = False) -> None:
     """Print lines on standard output, or standard error; a terminal gets them broken at words."""
-    width = shutil.get_terminal_size().columns if (sys.stderr if err else sys.stdout).isatty() else None
+    stream: Any = sys.stderr if err else sys.stdout
+    stream = getattr(stream, "rich_proxied_file", stream)  # of a progress display: a terminal, but does not say so
+    width = shutil.get_terminal_size().columns if stream.isatty() else None
     for line in lines:
         echo(line if width is None else "\n".join(wrapped(line, width)), err=err)
 

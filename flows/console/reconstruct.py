@@ -229,14 +229,12 @@ def _reconstruct_video(
             raise InputError(f"nobody can be reconstructed: {next(iter(reconstruction.people.skipped.values()))}")
         written = write_reconstruction(reconstruction, sequence, out, units=units, footage=footage, cameras=cameras)
         say(format_table(_HEADER, written.rows, text_columns=(0, len(_HEADER) - 1)))
-        echo(
-            f"{written.decisions}: identities; to correct them, edit a copy and give it with --set people_file=COPY",
-            err=True,
-        )
+        decided = "identities; to correct them, edit a copy and give it with --set people_file=COPY"
+        say([f"{written.decisions}: {decided}"], err=True)
         echo(f"look at it: {written.page}")
         for person_id, reason in reconstruction.people.skipped.items():
             echo(f"person {person_id} was skipped: {reason}", err=True)
-        echo(f"{reconstruction.people.pitch.in_words()}; {sequence.in_words()}", err=True)
+        say([f"{reconstruction.people.pitch.in_words()}; {sequence.in_words()}"], err=True)
 
     failed: list[InputError] = []
     num_made, known = 0, set[int]()

@@ -39,6 +39,10 @@ from tasks.ingest.film.run import FoundFilm
 
 _FILM_PX = 480
 """Longer side of the film on the page."""
+_ERRORS = (
+    "An expected error is the mean distance of a joint from its true place, about the hips, estimated from "
+    "the film alone; in brackets the range of four in five cases. The place of two people is the vector between them."
+)
 
 
 @dataclass(frozen=True)
@@ -130,12 +134,10 @@ def write_reconstruction(
     page = names.path(sequence.sequence_id, suffix=".html")
     page.with_suffix(".glb").write_bytes(_glb(people, cameras))
     rate_hz = people.methods[-1].people[0].track.rate_hz
-    caption = (
-        f"{sequence.sequence_id}: the reconstruction over its 2D poses, and in the room (five seconds from the middle)."
-    )
+    caption = f"{sequence.sequence_id}: the reconstruction over its 2D poses, and in the room."
     pictures = [Picture(f"{sequence.sequence_id}{PLAYER}", caption, seen_player(placed_m, cameras, rate_hz=rate_hz))]
     told = [seen.in_words(placed_m) for seen in cameras] if len(cameras) > 1 else []
-    said = [f"{words[0].upper()}{words[1:]}." for words in told]
+    said = [_ERRORS, *(f"{words[0].upper()}{words[1:]}." for words in told)]
     for seen, shot in zip(cameras, footage, strict=True):
         if shot.motion is not None:
             said.append(shot.motion.in_words() if not told else f"Camera {seen.name}: {shot.motion.in_words()}.")

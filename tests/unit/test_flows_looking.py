@@ -47,7 +47,7 @@ def test_the_display_keeps_its_columns_and_lines_break_at_words(width: int, monk
     listener = BarListener()
     listener.progressed(Progress(1, 45, others[:1], 0.0, is_all=True))
     listener._live.refresh()
-    listener.note(LONG)
+    say([LONG], err=True)
     parts = {("augmentation", "waltz"): (3, 9)}
     listener.progressed(Progress(12, 45, [variants, *others], 200.0, is_all=False, partitions=parts))
     listener._live.refresh()

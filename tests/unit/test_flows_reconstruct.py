@@ -98,6 +98,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     assert "the database has only 288 poses of 1 take: enough for similar motion, not for other motion" in said.err
     assert "reading " in said.err
     page = Page((out / f"{video.name}.html").read_text())
+    assert "in brackets the range of four in five cases" in page.text
     assert look == f"look at it: {out / video.name}.html"
     assert (page.problems, page.outside) == ([], [])
     (scene,) = page.scenes

@@ -17,7 +17,7 @@ from tasks.streams import stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import TrainingParameters, TrainingSegmentParameters
 
-TRAINING = StageName("training", 13)
+TRAINING = StageName("training", 14)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:

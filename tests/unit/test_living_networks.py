@@ -24,7 +24,7 @@ SIZES = {"width": 16, "hidden": 32, "latent_size": 8, "num_blocks": 1, "kernel":
 KINDS: dict[str, tuple[type[WindowVae], dict[str, Any], int]] = {
     "published": (PaperCvaeModel, SIZES, 100),
     "ours": (PaperCvaeModel, {"architecture": "over_kinematics", "learning_rate": 0.008, **SIZES}, 220),
-    "actor": (ActorLikeModel, {"learning_rate": 0.006}, 400),
+    "actor": (ActorLikeModel, {"learning_rate": 0.01}, 400),
     "action2motion": (Action2MotionLikeModel, {}, 130),
 }
 """A kind, small, and how many steps it takes to learn 8 variants of a window by heart."""

@@ -36,7 +36,7 @@ class ActorNetwork(WindowNetwork):
             nn.TransformerDecoderLayer(width, _NUM_HEADS, 2 * width, 0.0, nn.ReLU(), batch_first=True)
             for _ in range(settings.num_blocks)
         )
-        self.out = mlp(width, width, pose)
+        self.out = nn.Linear(width, pose)
 
     def noise_shapes(self, num_frames: int) -> dict[str, tuple[int, ...]]:
         """Return the shape of z."""

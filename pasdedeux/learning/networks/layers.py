@@ -98,7 +98,7 @@ def initialise(network: nn.Module, generator: np.random.Generator) -> None:
         value = np.zeros(parameter.shape, np.float32)
         if name.endswith("edges") or (parameter.ndim == 1 and name.endswith("weight")):
             value += 1.0
-        elif parameter.ndim > 1 and not name.endswith("out.2.weight"):
+        elif parameter.ndim > 1 and not name.endswith(("out.weight", "out.2.weight")):
             reach = 1.0 / np.sqrt(value.shape[-1])
             value = generator.uniform(-reach, reach, value.T.shape).astype(np.float32).T
         parameter.data.copy_(torch.from_numpy(value))

@@ -14,7 +14,6 @@ from functools import lru_cache
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +33,7 @@ from tasks.ingest import IngestParameters, plan
 from tasks.ingest.files import read_start
 from tasks.ingest.takes.run import NO_LIMIT, CapturedTake, capture_take
 from tasks.stage import StageInputs
-from tasks.user_files import read_file
+from tasks.user_files import exported_unit_m, read_file
 
 SUFFIXES = tuple(dict.fromkeys(suffix for kind in MOTION_FORMATS.values() for suffix in kind.suffixes))
 """Endings of the files of a folder that are looked at."""
@@ -150,24 +149,14 @@ def pair_up(
         name = take_name(group)
         name = name if names[name] == 1 else Path(group[0]).with_suffix("").as_posix()
         take_id = re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip("_.-")[-100:].lstrip("_.-") or "take"
-        units = (units_m[min(at, len(units_m) - 1)] if units_m else _unit_beside(path) for at, path in enumerate(group))
+        units = (
+            units_m[min(at, len(units_m) - 1)] if units_m else exported_unit_m(path) for at, path in enumerate(group)
+        )
         persons = [{"metres_per_unit": unit} for unit in units]
         take = {"id": take_id, "files": [str(path.resolve()) for path in group], "rate_hz": rate_hz, "persons": persons}
         section = IngestParameters.model_validate({"takes": [take]})
         pairs.append(MotionFiles(name, tuple(map(str, group)), section))
     return pairs
-
-
-def _unit_beside(path: Path) -> float | None:
-    """Return the metres per unit of a BVH file as the npz says that an export writes beside it; None without one."""
-    beside = path.with_suffix(".npz")
-    if path.suffix.lower() != ".bvh" or not beside.is_file():
-        return None
-    try:
-        with np.load(beside) as arrays:
-            return float(arrays["bvh_metres_per_unit"])
-    except (OSError, ValueError, KeyError, BadZipFile):
-        return None
 
 
 def clips_of(folder: Path) -> list[tuple[MotionFiles, MotionFiles | None]]:

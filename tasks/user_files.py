@@ -8,6 +8,9 @@ import stat
 import time
 from io import BufferedReader
 from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
 
 from pasdedeux.errors import InputError
 
@@ -105,3 +108,14 @@ def digest_of(path: Path, data: bytes | None = None) -> str:
             _DIGESTS.clear()
         _DIGESTS[state] = digest
     return digest
+
+
+def exported_unit_m(path: Path) -> float | None:
+    """Return the metres per unit of a BVH file as the npz says that an export writes beside it; None without one."""
+    if path.suffix.lower() != ".bvh" or not (beside := path.with_suffix(".npz")).is_file():
+        return None
+    try:
+        with open_file(beside) as file, np.load(file) as arrays:
+            return float(arrays["bvh_metres_per_unit"])
+    except (InputError, OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile):
+        return None

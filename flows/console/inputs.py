@@ -31,6 +31,7 @@ from tasks.ingest.poses2d.parameters import SourceOptions
 from tasks.ingest.takes.parameters import PersonOptions, TakeParameters
 from tasks.projections import read_pairs, read_searched
 from tasks.stage import StageInputs
+from tasks.user_files import exported_unit_m
 
 Source = TypeVar("Source", bound=SourceOptions)
 _HOW_TO_GET_ONE = (
@@ -84,7 +85,7 @@ def _take_of_files(
     if len(units_m) > len(files):
         raise InputError(f"--unit is given {counted(len(units_m), 'time')} for {counted(len(files), 'file')}")
     last = len(units_m) - 1
-    units = [units_m[min(person, last)] if units_m else None for person in range(len(files))]
+    units = [units_m[min(at, last)] if units_m else exported_unit_m(Path(file)) for at, file in enumerate(files)]
     take = {
         "id": re.sub(r"[^A-Za-z0-9_-]", "_", Path(files[0]).stem).lstrip("_-")[:100] or "take",
         "files": [str(Path(file).resolve()) for file in files],

@@ -101,6 +101,18 @@ def test_the_same_is_so_without_a_study(tmp_path: Path) -> None:
     assert np.abs(places - expected).max() < NEAR_M
 
 
+@pytest.mark.parametrize(("units_m", "scale"), [((), 0.8), ((0.01,), 1.0)])
+def test_without_a_study_the_npz_of_an_export_states_the_unit(
+    tmp_path: Path, units_m: tuple[float, ...], scale: float
+) -> None:
+    files = write_two(tmp_path, 30.0, 30.0)
+    for path in files:
+        np.savez(path.with_suffix(".npz"), bvh_metres_per_unit=0.008)
+    with find_take([str(path) for path in files], tmp_path / "store", units_m, None) as (store, ref):
+        people_m = body22_of(store, ref)
+    assert np.ptp(people_m[0, 0, :, 1]) == pytest.approx(scale * np.ptp(truth_m(np.zeros(1), 0)[0, :, 1]), rel=1e-3)
+
+
 @pytest.mark.parametrize("offset_s", [0.25, 0.26, -0.255])
 def test_a_file_that_began_earlier_is_shifted_in_time(tmp_path: Path, offset_s: float) -> None:
     options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}

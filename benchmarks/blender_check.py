@@ -222,12 +222,17 @@ def check_t_pose(rest: dict[str, np.ndarray]) -> None:
 
 
 if __name__ == "__main__":
-    for file in sorted(Path(sys.argv[1]).glob("*.bvh")):
+    paths = [
+        path for given in map(Path, sys.argv[1:]) for path in (sorted(given.glob("*")) if given.is_dir() else [given])
+    ]
+    files = {suffix: [path for path in paths if path.suffix == suffix] for suffix in (".bvh", ".glb")}
+    assert any(files.values()), f"there is no BVH or GLB file in {' '.join(sys.argv[1:]) or 'nothing'}"
+    for file in files[".bvh"]:
         if file.with_suffix(".npz").exists():
             check(file)
         else:
             rig, told = load(file, 0.01)
             assert "zero length" not in told, told
             print(f"{file}: {len(rig.data.bones)} bones, no npz to compare with")
-    for file in sorted(Path(sys.argv[1]).glob("*.glb")):
+    for file in files[".glb"]:
         check_glb(file)

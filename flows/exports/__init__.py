@@ -51,13 +51,16 @@ EXPORT_FORMATS = {
 
 _OWN_SKELETON_TABLES = ("poses", "variants")
 """Tables whose people leave on the skeleton they came with."""
+_BY_BLENDER = {"fbx", "usd", "usda", "usdc", "usdz"}
+"""Formats that Blender writes from a GLB."""
 _ALL_REJECTED = "'{}': all of it is rejected, so that there is nothing to export; see `pasdedeux curate`"
 
 
 def export_format(name: str) -> ExportFormat:
     """Return the format of this name, or an InputError that lists the known ones."""
     if name not in EXPORT_FORMATS:
-        raise InputError(f"export format '{name}' is not known; known formats: {', '.join(EXPORT_FORMATS)}")
+        how = "; docs/formats-and-units.md has the lines by which Blender makes it from a GLB" * (name in _BY_BLENDER)
+        raise InputError(f"export format '{name}' is not known; known formats: {', '.join(EXPORT_FORMATS)}{how}")
     file_format = import_module(EXPORT_FORMATS[name]).FORMAT
     assert isinstance(file_format, ExportFormat)
     return file_format

@@ -541,8 +541,11 @@ def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tm
 
 
 def test_an_unknown_format_is_answered_with_the_known_ones(store: Store, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'fbx' is not known; known formats: " + ", ".join(EXPORT_FORMATS)):
-        export_reference(store, references(store)["poses"], "fbx", tmp_path)
+    for name, how in {"fbx": "; docs/formats-and-units.md has .* Blender .*", "gif": ""}.items():
+        with pytest.raises(
+            InputError, match=f"'{name}' is not known; known formats: {', '.join(EXPORT_FORMATS)}{how}$"
+        ):
+            export_reference(store, references(store)["poses"], name, tmp_path)
 
 
 def test_what_is_worse_than_asked_for_lies_apart(store: Store, tmp_path: Path) -> None:

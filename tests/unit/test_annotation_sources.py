@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -176,6 +177,10 @@ def test_a_video_and_images_are_answered_with_what_to_run_first(tmp_path: Path, 
     path.write_bytes(b"\0")
     with pytest.raises(InputError, match=r"annotated or detected: give key frames \(--keys FILE\), .* or a detector"):
         found_in(path if path.suffix != ".jpg" else path.parent)
+    if path.suffix != ".jpg":
+        path.unlink()
+        with pytest.raises(InputError, match=rf"film .*{re.escape(path.name)} does not exist$"):
+            found_in(path)
 
 
 def test_an_empty_file_and_one_without_anybody_are_named(tmp_path: Path) -> None:

@@ -133,6 +133,8 @@ def refuse_film(paths: Sequence[Path], path: Path) -> None:
     suffixes = {item.suffix.lower() for item in paths}
     what = "video" if suffixes & VIDEO_SUFFIXES else "images" if suffixes & IMAGE_SUFFIXES else ""
     if what:
+        if not path.exists():
+            raise InputError(f"film {path} does not exist")
         raise InputError(
             f"{path} is {'a video' if what == 'video' else 'a folder of images' if path.is_dir() else 'an image'}: the "
             "people in it must be annotated or detected: give key frames (--keys FILE), a detector's keypoints "

@@ -17,8 +17,8 @@ from pasdedeux.plausibility.capsules import radius_per_height
 from pasdedeux.skeletons import BODY22
 
 _SAID = (
-    "GLB files are in metres, seconds and unit quaternions (x, y, z, w); set the scene of Blender to their rate before "
-    "they are imported, which counts frames at the rate of the scene.",
+    "GLB files are in metres, seconds and unit quaternions (x, y, z, w). In Blender, set the frame rate of the scene "
+    "to theirs before you import them: the import counts frames at the rate of the scene.",
 )
 
 

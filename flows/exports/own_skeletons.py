@@ -23,8 +23,8 @@ _POSED = {"source": "that of the source's file", "standing": "a standing T-pose"
 _AXES = "right-handed, Y up"
 TAKE_NAMES = (
     "Files of takes are named TAKE, of variants TAKE_VARIANT: in `waltz_A-0.75` person A of the take waltz has 0.75 of "
-    "the size, in `waltz_B-legs-1.10` the legs of B have 1.10 of their length. The end is whose motion it is: "
-    "`waltz_A-0.75.B`."
+    "the size, in `waltz_B-legs-1.10` the legs of B have 1.10 of their length. The end of a "
+    "file for one person says whose motion it is: `waltz_A-0.75.B`."
 )
 """What the names of files mean."""
 _SAID = (

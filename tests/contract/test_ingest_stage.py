@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.cameras.virtual_video import VirtualView
 from pasdedeux.errors import InputError
@@ -19,6 +21,7 @@ from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation import STAGE as EVALUATION
 from tasks.ingest import IngestParameters
+from tasks.ingest.takes.parameters import PairOptions
 from tasks.ingest.virtual_video import run as virtual_video
 from tests.builders.ingest_runs import judged, planned, run, write_figure_pair
 from tests.builders.source_samples import AMC, ASF, figure_motion, positions_npz
@@ -276,6 +279,51 @@ def test_families_of_files_are_paired_by_name(tmp_path: Path, pair: tuple[Path, 
     assert [person.source_name for person in shards[0].parameters.persons] == ["60_01.bvh", "61_01.bvh"]
     with pytest.raises(InputError, match=r"file 60_02.bvh or 60_02.amc does not exist in"):
         planned(pairs={"salsa": section | {"takes": ["02"]}})
+
+
+def test_a_family_without_names_is_what_is_there_and_says_what_it_skips_and_awaits(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    for name in ("60_02", "60_a b", "61_a b", "61_03"):
+        (tmp_path / f"{name}.bvh").write_bytes(pair[0].read_bytes().replace(b"ROOT", b"ROOT" + b" " * len(name)))
+    (tmp_path / "60_03.bvh").write_text("no motion")
+    family = {"folder": tmp_path, "subjects": ["60", "61"], "rate_hz": 60.0, "is_watched": True}
+    takes = {(one.partition, one.name): one for one in planned(pairs={"salsa": family}, held_out=["60_09"])}
+    assert ("60_01", "take") in takes
+    skipped = takes["salsa", "skipped"].parameters.skipped
+    assert set(skipped) == {"60_02", "60_03", "60_a b", "60_09"}
+    assert skipped["60_02"] == f"file 61_02.bvh or 61_02.amc does not exist in {tmp_path}"
+    assert "60_03.bvh" in skipped["60_03"]
+    assert skipped["60_a b"] == "'60_a b' cannot be the name of a take"
+    assert skipped["60_09"] == "the study names it, and it has not come yet"
+    with pytest.raises(InputError, match="'60_09' is not a take of this study"):
+        planned(pairs={"salsa": family | {"is_watched": False}}, held_out=["60_09"])
+    with pytest.raises(InputError, match="'62_09' is not a take of this study"):
+        planned(pairs={"salsa": family}, held_out=["62_09"])
+    whole = [one for one in planned(pairs={"salsa": family | {"takes": ["01"]}}) if one.name == "skipped"]
+    assert whole == [], "nothing is skipped of what is named"
+    (empty := tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"ingest.pairs.salsa: no file \{subject\}_\{take\}.bvh or .*amc is in"):
+        planned(pairs={"salsa": family | {"folder": empty}})
+    assert planned(pairs={"salsa": family | {"folder": empty, "takes": []}}) == []
+
+
+def test_files_of_a_family_are_found_by_any_pattern(tmp_path: Path) -> None:
+    for name in ("a/60-a.bvh", "a/60-b.bvh", "b/61-b.bvh", "c/62-c.bvh", "b/x/61-b.bvh"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    family = PairOptions(
+        folder=tmp_path, subjects=("60", "61"), pattern="{take}/{subject}-{take}.bvh", id="{take}.{subject}"
+    )
+    assert family.take_names() == ("a", "b")
+    assert family.take_id("b") == "b.60"
+    for change, words in (
+        ({"pattern": "{subject}.bvh"}, "it must contain {take}"),
+        ({"id": "{take}_{who}"}, "only {subject} and {take} may stand in braces"),
+        ({"id": "{take}{"}, "only {subject} and {take}"),
+    ):
+        with pytest.raises(ValidationError, match=re.escape(words)):
+            PairOptions.model_validate({"folder": tmp_path, "subjects": ["60"], **change})
 
 
 def test_amc_files_find_their_skeleton_and_rate(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -609,3 +609,22 @@ def test_a_cluster_has_at_least_one_worker(key: str, least: int) -> None:
     assert getattr(ClusterProfile.model_validate({"cluster": "a.B", key: least}), key) == least
     with pytest.raises(ValidationError, match="greater than or equal to 1"):
         ClusterProfile.model_validate({"cluster": "a.B", key: least - 1})
+
+
+@pytest.mark.parametrize(
+    ("workers", "away_s", "refused", "fails"),
+    [(2, 99.0, 1, False), (0, 10.0, 1, False), (0, 99.0, 0, False), (0, 99.0, 1, True)],
+)
+def test_a_run_ends_where_only_workers_that_do_not_fit_have_come_for_long(
+    monkeypatch: pytest.MonkeyPatch, workers: int, away_s: float, refused: int, fails: bool
+) -> None:
+    words = ["of before", *["it has another numpy"] * refused]
+    monkeypatch.setattr("tasks.shards.running.refusals", lambda client: words)
+    asked = {"workers": {str(number): {} for number in range(workers)}}
+    pool = SimpleNamespace(client=SimpleNamespace(scheduler_info=lambda **_: asked), _num_refused_before=1)
+    pool._seen_at = time.monotonic() - away_s
+    before = pool._seen_at
+    with pytest.raises(ClusterError, match=r"^it has another numpy; no other worker came") if fails else nullcontext():
+        ClusterPool._count_workers(pool)  # type: ignore[arg-type]
+    assert pool.num_workers == max(1, workers)
+    assert (pool._seen_at > before) is bool(workers)

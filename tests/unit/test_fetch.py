@@ -12,13 +12,15 @@ from dataclasses import dataclass, field
 from email.message import Message
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+from flows.console import fetch as fetch_module
 from flows.console.app import app
 from flows.console.context import Context
-from flows.console.fetch import FetchError, fetch_cmu, takes_of_study
+from flows.console.fetch import Fetched, FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from tasks.downloads import PublicRedirects, download, is_public_ip
@@ -282,6 +284,56 @@ def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_p
         "CMU.sha256",
         "CREDITS.txt",
     ]
+
+
+def test_what_a_database_takes_is_said_before_it_is_agreed_to_and_done_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A take has a megabyte, which comes in a second, and of which 0.6 MB are built in a second."""
+    wanted, done = takes_of_study("everyday"), list[Any]()
+    count = sum(map(len, wanted.values()))
+    out, store = tmp_path / "cmu", tmp_path / "store"
+    out.mkdir()
+    for subject, takes in list(wanted.items())[:2]:
+        (out / f"{subject}_{takes[0]}.amc").touch()
+
+    def fetch(takes: Any, folder: Path, *, base_url: str) -> list[Fetched]:
+        done.append((takes, folder, base_url))
+        return [Fetched(path=out / "02.asf", num_bytes=7, was_there=False)] * 3
+
+    monkeypatch.setattr(fetch_module, "fetch_cmu", fetch)
+    monkeypatch.setattr(
+        fetch_module, "build_and_report", lambda run, where, as_json: done.append((run, where, as_json))
+    )
+    command = [
+        "fetch",
+        "database",
+        "--out",
+        out,
+        "--store",
+        store,
+        "--base-url",
+        "http://127.0.0.1:9",
+        "--workers",
+        "1",
+    ]
+    said = call_in_process(capsys, *command)
+    assert said.code == 0
+    assert f"study everyday: {count} takes of CMU; about {count - 2} MB come into {out}, in" in said.out
+    assert f"in {(count - 2) / 60:.0f} minutes at 1 MB a second" in said.out
+    assert f"in some {count / 60:.0f} minutes of one core and has {0.6 * count:.0f} MB in {store}" in said.out
+    assert done == []
+    said = call_in_process(capsys, *command, "--yes")
+    assert said.code == 0
+    assert f"3 files in {out}" in said.out
+    assert said.out.splitlines()[-1] == (
+        f"now: pasdedeux reconstruct DIR --database projections:everyday --store {store} --out out"
+    )
+    (fetched, (run, where, as_json)) = done
+    assert fetched == (wanted, out, "http://127.0.0.1:9")
+    assert (run.study.name, str(run.store), where.num_workers, as_json) == ("everyday", str(store), 1, False)
+    folders = {family["folder"] for family in run.study.resolved()["ingest"]["pairs"].values()}
+    assert folders == {str(out.resolve())}
 
 
 def test_a_database_is_downloaded_and_built_where_that_was_agreed_to(

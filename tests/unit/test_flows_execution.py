@@ -7,13 +7,14 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
@@ -22,7 +23,7 @@ from hypothesis import strategies as st
 
 from flows.building import ShowPartitions, by_urgency, stages_behind
 from flows.console.display import LineListener, progress_text
-from flows.execution import begin, execute
+from flows.execution import begin, execute, open_pool
 from flows.outcomes import Outcome, Run
 from flows.planning import StagePlan, StageSelection, make_plan
 from flows.progress import Listener, PartitionCount, Progress, Tally
@@ -46,6 +47,7 @@ from tasks.shards import (
     Stopped,
     connect,
 )
+from tasks.shards.profiles import ClusterProfile
 from tasks.stage import EarlyPlan, Parameters, Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
@@ -606,3 +608,39 @@ def test_silence_is_broken_with_how_far_the_run_is(
     assert progress_text(Progress(12, 45, [shard] * 5, 40.0, is_all=False)) == (
         "12 of 45 shards, computing chains ic seed0, chains ic seed0, chains ic seed0 and 2 more; more than 40 s left"
     )
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        ({"num_workers": 0}, []),
+        ({"num_workers": 1, "memory_bytes": 1}, ["starting 1 local worker"]),
+        ({"scheduler": "tcp://10.0.0.1:8786"}, ["connecting to the Dask scheduler at tcp://10.0.0.1:8786"]),
+        (
+            {"profile": ClusterProfile(cluster="dask_jobqueue.SLURMCluster")},
+            ["starting dask_jobqueue.SLURMCluster, waiting for its first worker"],
+        ),
+    ],
+)
+def test_who_computes_is_said_before_it_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: dict[str, Any], said: list[str]
+) -> None:
+    notes: list[str] = []
+    connected: list[tuple[ClusterSettings, str]] = []
+
+    @contextmanager
+    def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Any]:
+        assert notes == said
+        connected.append((settings, store_root))
+        yield SimpleNamespace(scheduler_info=lambda **_: {"workers": {"a": {}}}, run_on_scheduler=lambda *_: [])
+
+    monkeypatch.setattr("flows.execution.connect", connect)
+    monkeypatch.setattr("tasks.shards.running.refusals", lambda client: [])
+    chosen, stages = load_study(str(write_study(tmp_path)), TOYS, environment={})
+    listener = Listener()
+    listener.note = notes.append  # type: ignore[method-assign]
+    settings = ClusterSettings(**told)
+    with open_pool(Run(chosen, stages, Store(tmp_path / "store"), listener=listener), settings) as pool:
+        assert isinstance(pool, ClusterPool) is bool(said)
+    assert connected == [(settings, str(tmp_path / "store"))] * bool(said)
+    assert (tmp_path / "store").is_dir()

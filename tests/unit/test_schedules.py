@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+
+from flows.console.app import run_command_line
+from storage_schema import Store
+from tests.builders.toy_runs import write_study
+from tests.builders.toys import TOYS
 
 ZOMBIES = "pasdedeux: builds whose process is gone"
 
@@ -104,3 +110,66 @@ def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:
     assert names == [dataset.name, None], "runs of other flows are not ours"
     (action,) = zombies().actions
     assert action.state.value == "CRASHED"
+
+
+@pytest.mark.parametrize(
+    ("words", "when", "cron", "every"),
+    [
+        ((), "when it is asked for", None, None),
+        (("--every", "90.5"), "every 90.5 s", None, timedelta(seconds=90.5)),
+        (("--cron", "0 2 * * *"), "at '0 2 * * *' UTC", "0 2 * * *", None),
+    ],
+)
+def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewhere(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    when: str,
+    cron: str | None,
+    every: timedelta | None,
+) -> None:
+    checked: list[str] = []
+    made: list[tuple[Any, ...]] = []
+
+    def put(name: str, parameters: dict[str, Any], **more: Any) -> str:
+        made.append((name, parameters, more))
+        return "pasdedeux-dataset/toy"
+
+    address = "http://prefect.example/api"
+    found = SimpleNamespace(api=SimpleNamespace(url=address))
+    monkeypatch.setattr("prefect.settings.get_current_settings", lambda: found)
+    monkeypatch.setattr("flows.console.deploy.check_server", lambda asked, note: checked.append(asked))
+    monkeypatch.setattr("flows.schedules.deploy", put)
+    monkeypatch.chdir(tmp_path)
+    study = write_study(tmp_path)
+    line = ["deploy", study.name, "--store", "built", "--workers", "2", "--set", "grow.num_takes=1", "--pool", "mine"]
+    assert run_command_line([*line, *words], graph=TOYS) == 0
+    ((name, parameters, more),) = made
+    assert (name, checked) == ("toy", [address])
+    assert parameters == {
+        "study": str(study),
+        "store": str(Store(tmp_path / "built")),
+        "settings": ["grow.num_takes=1"],
+        "workers": 2,
+        "oversubscribe": False,
+        "scheduler": None,
+        "cluster": None,
+        "folder": str(tmp_path),
+    }
+    assert more == {"cron": cron, "every": every, "pool": "mine"}
+    said = capsys.readouterr().out.splitlines()
+    assert said == [
+        f"pasdedeux-dataset/toy: {when}, study {study}, store {parameters['store']}",
+        "now, if it is not running yet: prefect worker start --pool mine",
+        "at once: prefect deployment run pasdedeux-dataset/toy; to remove it: prefect deployment delete "
+        "pasdedeux-dataset/toy",
+    ]
+    found.api.url = None
+    assert run_command_line(line, graph=TOYS) == 2
+    assert "no Prefect server is set" in capsys.readouterr().err
+    assert run_command_line([*line, "--every", "5", "--cron", "0 2 * * *"], graph=TOYS) == 2
+    assert "are both schedules; give only one" in capsys.readouterr().err
+    assert run_command_line([*line, "--cron", "often"], graph=TOYS) == 2
+    assert "--cron 'often' is no schedule" in capsys.readouterr().err
+    assert len(made) == 1

@@ -20,6 +20,7 @@ from huggingface_hub import DatasetCard
 
 from flows.console.app import run_command_line
 from flows.dataset_folder import read_folder, write_folder
+from flows.dataset_folder.contents import _without
 from flows.dataset_folder.layout import read_manifest
 from flows.planning import PlanError
 from pasdedeux.kinematics import bone_lengths
@@ -327,3 +328,8 @@ def test_commands_write_read_and_refuse(store: Store, tmp_path: Path, capsys: py
     (tmp_path / "full" / "mine.txt").touch()
     assert run_command_line(["dataset", "write", "made@1", "--out", str(tmp_path / "full"), "--store", place]) == 2
     assert "is not empty" in capsys.readouterr().err
+
+
+def test_what_stays_here_is_in_no_list_and_under_no_key_of_what_leaves() -> None:
+    left = {"variants": ["v0", "v1", {"v0": 1, "kept": ["v1", "v0"]}], "v1": 3, "told": ("v1", 4, None)}
+    assert _without(left, {"v1"}) == {"variants": ["v0", {"v0": 1, "kept": ["v0"]}], "told": [4, None]}

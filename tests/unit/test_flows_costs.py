@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.console.app import run_command_line
-from flows.costs import DISPATCH_S, OVERHEAD_S, Job, Work, estimate_cost, planned_work
+from flows.console.display import cost_lines, duration_text, size_text
+from flows.costs import DISPATCH_S, OVERHEAD_S, Cost, Job, Work, estimate_cost, planned_work
 from flows.planning import PlanError
 from storage_schema import Store
 from tests.builders.toy_runs import plan_toys, run_toys, write_study
@@ -106,3 +107,20 @@ def test_what_only_a_cost_knows_is_refused_without_one(tmp_path: Path, capsys: p
     command = ["plan", study, "--store", str(tmp_path / "new"), "--measured", store, "--cost", "--workers", "2"]
     assert run_command_line(command, graph=TOYS) == 0
     assert "14 shards" in capsys.readouterr().out
+
+
+def test_a_cost_is_a_table_and_says_what_it_rests_on() -> None:
+    costs = [Cost(2, 7200.0, 3.5, 0.87), Cost(8, 3599.0, 4.0, 0.5)]
+    work = Work(worker_bytes=3 * 1024**3, num_shards=9, processor_s=150.0, num_bytes=12.34e6, num_measured=7)
+    work.unknown += ["chains", "lifting"]
+    heading, *rows, said, guessed, unknown = cost_lines(work, costs)
+    assert heading.split() == ["workers", "wall", "time", "core", "hours", "at", "work", "memory"]
+    cells = [" ".join(row.split()) for row in rows if "%" in row]
+    assert cells == ["2 2.0 h 3.5 87 % 6 GB", "8 59 min 59 s 4 50 % 24 GB"]
+    assert said == "9 shards, 2 min 30 s of one core, 12.3 MB, at most 3.0 GB per process"
+    assert guessed == "7 of them were measured; the others are assumed to take as long"
+    assert unknown == "not counted, because never measured: chains, lifting"
+    *_, last = cost_lines(Work(num_shards=1, num_measured=1, processor_s=99.4), costs[:1])
+    assert last == "1 shard, 99 s of one core, 0.0 MB"
+    assert [duration_text(seconds) for seconds in (99.9, 100.0, 7199.0)] == ["100 s", "1 min 40 s", "119 min 59 s"]
+    assert size_text(49_999.0) == "0.0 MB"

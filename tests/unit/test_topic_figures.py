@@ -22,7 +22,7 @@ from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.reconstruction.film_alignment import FilmAlignment
 from pasdedeux.skeletons import OP14
 from storage_schema import Manifest, Store
-from tasks.evaluation import generation, lifting, models, realism, reconstruction, sets
+from tasks.evaluation import augmentation, generation, lifting, models, realism, reconstruction, sets
 from tasks.evaluation.coverage import curve_points
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
@@ -595,3 +595,19 @@ def test_errors_of_models_are_means_over_variants_of_one_scale(monkeypatch: pyte
     np.testing.assert_allclose(at, [0.8, 1.2, 1.25])
     np.testing.assert_allclose(values, [2.0, 5.0, 9.0])
     assert (more["title"], panel.baselines) == ("models on cross scale test variants", ["copy"])
+
+
+def test_drifts_of_contacts_are_told_apart_by_hands_and_bodies_over_all_variants() -> None:
+    found = {"interaction_mesh": np.array([[0.01, 0.5, 0.7], [0.03, 0.1, 0.3]]), "naive_fk": np.full((2, 3), 0.2)}
+    drifts = augmentation.ContactDrifts(np.array([True, False, False]), np.arange(3), found)
+    scores = by_name(augmentation.contact_scores(drifts, item="waltz"))
+    assert {(item, one.unit) for (*_, item), one in scores.items()} == {("waltz", "m")}
+    values = {(metric, method): (one.value, one.count) for (metric, method, *_), one in scores.items()}
+    for name, mine, count in (("hand", [0.01, 0.03], 2), ("body", [0.1, 0.3, 0.5, 0.7], 4)):
+        for which, share in (("median", 50.0), ("p95", 95.0), ("worst", 100.0)):
+            metric = f"{name}_contact_drift_{which}"
+            assert values[metric, "interaction_mesh"] == (pytest.approx(np.percentile(mine, share)), count)
+            assert values[metric, "naive_fk"] == (pytest.approx(0.2), count)
+    bodies = augmentation.ContactDrifts(np.zeros(3, dtype=bool), np.arange(3), found)
+    metrics = {one.metric for one in augmentation.contact_scores(bodies, item="waltz")}
+    assert metrics == {f"body_contact_drift_{which}" for which in ("median", "p95", "worst")}

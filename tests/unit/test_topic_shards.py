@@ -181,7 +181,9 @@ def test_lifted_pairs_stand_beside_their_nearest_annotations_and_draws_with_thei
     assert [picture.name for picture in lifting.TOPIC.pictures(result)] == ["nearest.svg"]
 
 
-def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_judged(store: Store) -> None:
+def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_judged(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The heaviest hypothesis is so many degrees off, the other one is the truth."""
     takes, videos, _ = put_truth(store)
     made = []
@@ -225,6 +227,14 @@ def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_j
     assert (len(result.shown.psi_rad), result.baselines) == (4 * (FRAMES - 1), ("mean_view",))
     (picture,) = views.TOPIC.pictures(result)
     assert picture.content.count(b"<use") + picture.content.count(b"<path") > 4
+    drawn: list[Any] = []
+    monkeypatch.setattr(views, "figure_svg", lambda figure, title: drawn.append(figure) or b"")
+    views.TOPIC.pictures(result)
+    (axis,) = drawn[0].axes
+    assert (axis.get_xlim(), axis.get_ylim()) == ((-180.0, 180.0), (180.0, 0.0)), "from above to below"
+    (dots,) = axis.collections
+    np.testing.assert_allclose(dots.get_offsets(), np.degrees(np.stack(result.shown[:2], axis=1)))
+    np.testing.assert_allclose(dots.get_sizes(), 1.0 + 12.0 * np.asarray(result.shown.weight))
     alone = views.TOPIC.compute(
         views.TOPIC.shard(StageInputs({}, seed=1), "accuracy", views=[made[0]], annotations=[], takes=[]), store
     )
@@ -306,6 +316,9 @@ def test_the_map_of_coverage_has_draws_where_they_lie_ever_more_from_panel_to_pa
     draws = put_draws(store, "ic", pairs_m, (seeds,), PAIRS[0])
     inputs = StageInputs({"poses": takes, "draws": [draws], "seeds": [seeds]}, seed=1)
     assert [shard.name for shard in coverage.TOPIC.plan(inputs, coverage.TOPIC.settings())] == list(coverage.SPLITS)
+    assert computed(coverage.TOPIC, store, "annotated", inputs).notes == [
+        "Coverage of annotated frames is not measured: there are no such frames."
+    ]
     result = computed(coverage.TOPIC, store, "held_out", inputs)
     drawn: list[Any] = []
     monkeypatch.setattr(coverage, "map_figure", lambda *given, **more: drawn.append((given, more)) or b"<svg/>")

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import duckdb
 import numpy as np
@@ -20,12 +21,13 @@ from huggingface_hub import DatasetCard
 
 from flows.console.app import run_command_line
 from flows.dataset_folder import read_folder, write_folder
-from flows.dataset_folder.contents import _without
+from flows.dataset_folder.contents import Group, _without
 from flows.dataset_folder.layout import read_manifest
+from flows.dataset_folder.writing import plan_files
 from flows.planning import PlanError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
-from storage_schema import TABLES, CorruptArtifact, SourceCredit, Store, open_table, verify
+from storage_schema import TABLES, ArtifactRef, CorruptArtifact, SourceCredit, Store, open_table, verify
 from storage_schema.arrow import arrow_schema
 from storage_schema.datasets import open_dataset
 from storage_schema.keys import file_sha256
@@ -333,3 +335,16 @@ def test_commands_write_read_and_refuse(store: Store, tmp_path: Path, capsys: py
 def test_what_stays_here_is_in_no_list_and_under_no_key_of_what_leaves() -> None:
     left = {"variants": ["v0", "v1", {"v0": 1, "kept": ["v1", "v0"]}], "v1": 3, "told": ("v1", 4, None)}
     assert _without(left, {"v1"}) == {"variants": ["v0", {"v0": 1, "kept": ["v0"]}], "told": [4, None]}
+
+
+def test_a_data_file_is_full_at_a_hundred_megabytes() -> None:
+    ref = ArtifactRef("chains", "a" * 64, "b" * 64)
+    sizes = [60e6, 39_999_999, 1, 2, 100e6, 1]
+    groups = [Group("draws", "train", ref, ((at, at + 1),), int(size), "") for at, size in enumerate(sizes)]
+    files = plan_files(SimpleNamespace(groups=groups), None)  # type: ignore[arg-type]
+    assert [[group.num_bytes for group in file.groups] for file in files] == [
+        [60_000_000, 39_999_999, 1],
+        [2, 100_000_000],
+        [1],
+    ]
+    assert [file.name for file in files] == [f"data/draws/train-{at:05}-of-00003.parquet" for at in range(3)]

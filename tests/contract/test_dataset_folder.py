@@ -348,3 +348,21 @@ def test_a_data_file_is_full_at_a_hundred_megabytes() -> None:
         [1],
     ]
     assert [file.name for file in files] == [f"data/draws/train-{at:05}-of-00003.parquet" for at in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "description", "shape"),
+    [
+        ("poses", "time_s", "Time from the start of the take or sequence, s", None),
+        ("poses", "take_id", "Take: one capture, by a name unique in a study", None),
+        ("poses", "body22_m", "World positions, m (22 x 3: joint, xyz)", "22,3"),
+        ("takes", "joint_names", "Joints of the source's own skeleton", "-1"),
+    ],
+)
+def test_a_field_is_described_with_its_unit_and_its_axes(
+    folder: Path, table: str, name: str, description: str, shape: str | None
+) -> None:
+    sets = json.loads((folder / "croissant.json").read_text())["recordSet"]
+    (field,) = [one for record in sets for one in record.get("field", ()) if one["name"] == f"{table}-rows/{name}"]
+    assert (field["description"], field.get("arrayShape")) == (description, shape)
+    assert field.get("isArray", False) is (shape is not None)

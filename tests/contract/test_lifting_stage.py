@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,15 +20,16 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import chains, lifting
-from tasks.annotated_pairs import PairPlace
+from tasks.annotated_pairs import PairPlace, read_seen_pairs
 from tasks.chains import ChainsParameters
-from tasks.draw_sets import GROWN, read_draw_sets
+from tasks.draw_sets import GROWN, read_draw_sets, reference_to
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
 from tasks.facts import SeedFacts
 from tasks.judgements import verdict_of
-from tasks.lifting import LiftingParameters, _spans
+from tasks.lifting import LiftingParameters, _baselines, _lifted_from, _spans
 from tasks.stage import StageInputs
+from tests.builders.drawn_pairs import put_draws
 from tests.builders.sampling_store import QUICK, inputs, pairs_of, run, with_seeds
 from tests.builders.storage_rows import put, random_columns, take_rows
 
@@ -361,3 +364,38 @@ def test_spans_are_a_gap_apart_and_those_between_key_frames_up_to_twice_that() -
         tuple(at(5, 12, name="b")),
     }
     assert _spans(at(3), 2, 4) == []
+
+
+def test_what_was_lifted_or_filled_in_from_an_image_is_known_of_seeds_and_of_what_was_repaired(tmp_path: Path) -> None:
+    """Draws of a chain are of no image; a pair that was filled in from two others is of the images of both."""
+    store, pairs_m = Store(tmp_path / "store"), pairs_of("one")
+    rows = random_columns("seeds", 3) | {"pair17_m": pairs_m[:3], "seed_index": [0, 1, 2]}
+    rows |= {"sequence_id": ["s", None, "t"], "sequence_frame": [5, None, 7], "sequence_person_id": [0, None, 1]}
+    rows["filled_from"] = np.array([[-1] * 7, [0, 2, *[-1] * 5], [-1] * 7])
+    seeds = put(store, "seeds", "filled", {"seeds": rows}, {"kind": "filled_seeds"})
+    chain = put_draws(store, "chain", pairs_m[:2], (seeds,), pairs_m[0])
+    columns = random_columns("draws", 2) | {"pair17_m": pairs_m[:2], "seed_index": [2, 0], "density": ["ic"] * 2}
+    facts = {"kind": "draws", "density": "ic", "num_starts": 2, "num_draws": 2}
+    repaired = put(store, "chains", "repaired", {"draws": columns}, facts, (seeds,), density="ic")
+    refs = [chain.ref, seeds.ref, repaired.ref]
+    names = [reference_to(table, ref) for table, ref in zip(("draws", "seeds", "draws"), refs, strict=True)]
+    draws = SimpleNamespace(refs=names, artifacts=np.repeat([0, 1, 2], [2, 3, 2]))
+    found = _lifted_from(store, refs, draws)  # type: ignore[arg-type]
+    assert {image: sorted(numbers) for image, numbers in found.items()} == {
+        ("s", 5, 0): [2, 3, 6],
+        ("t", 7, 1): [3, 4, 5],
+    }
+
+
+def test_baselines_pass_over_annotations_that_are_not_seen_as_a_whole(grown: Any) -> None:
+    store, given = grown
+    shard = lifting.plan(given, LiftingParameters(baselines=("lifting",)))[0]
+    every, _ = read_seen_pairs(store, shard.refs("annotations")[0], shard.refs("views")[0], num_hypotheses=1)
+    whole = [one for one in every.values() if one.is_seen.all()][:1]
+    partial = [one for one in every.values() if not one.is_seen.all()][:1]
+    assert len(partial) == 1
+    rows = _baselines(shard, store, [*partial, *whole], every)
+    assert [(row["method"], row["sequence_id"]) for row in rows] == [("lifting", whole[0].place.sequence_id)]
+    assert _baselines(shard, store, partial, dict.fromkeys(every, partial[0])) == []
+    bare = lifting.plan(given, LiftingParameters())[0]
+    assert _baselines(bare, store, whole, every) == []

@@ -54,6 +54,7 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
         threads.append(threading.Thread(target=flow_module._stage.fn, args=(stage, follow)))
         threads[-1].start()
 
+    monkeypatch.setattr("flows.execution.worker_environment", dict)  # of this process the environment stays
     monkeypatch.setattr(flow_module, "load_graph", lambda: TOYS)
     monkeypatch.setattr(flow_module, "create_table_artifact", show_table)
     monkeypatch.setattr(flow_module, "create_markdown_artifact", show_text)

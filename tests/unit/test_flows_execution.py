@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import shutil
 import signal
 import tempfile
@@ -634,6 +635,8 @@ def test_who_computes_is_said_before_it_is_waited_for(
         connected.append((settings, store_root))
         yield SimpleNamespace(scheduler_info=lambda **_: {"workers": {"a": {}}}, run_on_scheduler=lambda *_: [])
 
+    monkeypatch.setenv("TOY_THREADS", "9")
+    monkeypatch.setattr("flows.execution.worker_environment", lambda: {"TOY_THREADS": "1"})
     monkeypatch.setattr("flows.execution.connect", connect)
     monkeypatch.setattr("tasks.shards.running.refusals", lambda client: [])
     chosen, stages = load_study(str(write_study(tmp_path)), TOYS, environment={})
@@ -642,5 +645,6 @@ def test_who_computes_is_said_before_it_is_waited_for(
     settings = ClusterSettings(**told)
     with open_pool(Run(chosen, stages, Store(tmp_path / "store"), listener=listener), settings) as pool:
         assert isinstance(pool, ClusterPool) is bool(said)
+        assert os.environ["TOY_THREADS"] == ("9" if said else "1"), "who computes here has the threads of a worker"
     assert connected == [(settings, str(tmp_path / "store"))] * bool(said)
     assert (tmp_path / "store").is_dir()

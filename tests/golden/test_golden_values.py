@@ -1,4 +1,4 @@
-"""Values that must not change unnoticed: built-in duets, artifact keys, the keys of a study, and options of commands.
+"""Values that must not change unnoticed: built-in duets, artifact keys, versions of stages, keys of a study, options.
 
 When one changes on purpose, `python -m tests.golden.test_golden_values` writes the files anew; commit that alone, with
 the reason.
@@ -71,6 +71,14 @@ def test_the_same_work_has_the_key_it_always_had() -> None:
     assert json.loads(_FILE.read_text())["key"] == _key()
 
 
+def _versions() -> dict[str, int]:
+    return {stage.name: stage.version for stage in load_graph().stages}
+
+
+def test_no_stage_computes_anew_what_it_has_made_unless_its_version_is_raised_on_purpose() -> None:
+    assert json.loads(_FILE.read_text())["versions"] == _versions()
+
+
 def test_the_keys_of_a_study_have_the_ranges_and_the_defaults_they_always_had() -> None:
     assert _study_keys() == _KEYS_FILE.read_text(encoding="utf-8").splitlines()
 
@@ -100,4 +108,4 @@ def test_commands_have_the_options_ranges_and_defaults_they_always_had() -> None
 if __name__ == "__main__":
     _OPTIONS_FILE.write_text("\n".join([*_command_options(), ""]), encoding="utf-8")
     _KEYS_FILE.write_text("\n".join([*_study_keys(), ""]), encoding="utf-8")
-    _FILE.write_text(json.dumps({"duets": _duet_values(), "key": _key()}, indent=1) + "\n")
+    _FILE.write_text(json.dumps({"duets": _duet_values(), "key": _key(), "versions": _versions()}, indent=1) + "\n")

@@ -6,13 +6,14 @@ import re
 import tomllib
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
-from flows.console.study_new import write_new_study
+from flows.console.study_new import _drafted, write_new_study
 from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
@@ -319,3 +320,28 @@ def test_two_rigs_rates_and_axes_are_written_for_each(tmp_path: Path) -> None:
     assert [person.up_axis for person in people] == ["y", "z"]
     assert "12 frames" in made.said[0]
     assert any("0.40 and 0.20 seconds: ARE THEY" in line for line in made.said)
+
+
+@pytest.mark.parametrize(
+    ("layout", "missing", "is_why_said"),
+    [
+        ("", None, True),
+        ("", (), True),
+        ("", ("left_knee", "head"), False),
+        ("mine", (), False),
+        ("body22", None, False),
+    ],
+)
+def test_why_no_layout_fits_is_said_unless_it_is_for_joints_that_were_not_found(
+    layout: str, missing: tuple[str, ...] | None, is_why_said: bool
+) -> None:
+    part = SimpleNamespace(part="pelvis", joint="Hips", is_sure=False, reason="its place")
+    draft = None if missing is None else SimpleNamespace(parts=[part], missing=missing)
+    taken = SimpleNamespace(why_no_layout="two joints are one; give another")
+    lines = _drafted([SimpleNamespace(path=Path("a.bvh"), layout=layout, draft=draft, taken=taken)])  # type: ignore[list-item]
+    assert ("a.bvh: two joints are one; give another" in lines) is is_why_said
+    found = [line for line in lines if "no joint was found for" in line]
+    assert found == ["a.bvh: no joint was found for left_knee, head; set them in the study"] * bool(missing)
+    assert any(line.split() == ["pelvis", "Hips", "A", "GUESS", "its", "place"] for line in lines) is (
+        draft is not None
+    )

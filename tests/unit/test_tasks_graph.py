@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -100,3 +101,18 @@ def test_the_small_form_of_the_augmentation_paper_needs_no_files_and_its_command
     trained = study.sections_of("training")["training"]
     assert trained["paper_cvae"]["num_steps"] == 20
     make_plan(study, stages, Store(tmp_path / "store"))
+
+
+def test_what_adds_to_a_table_comes_before_those_that_read_it_but_not_before_what_it_rests_on() -> None:
+    make = stage("make", (), ("variants",))
+    train = stage("train", ("variants",), ("models",))
+    sample = replace(stage("sample", ("models",), ()), adds_to=("variants",))
+    judge = stage("judge", ("variants", "models"), ("scores",))
+    graph = Graph((judge, sample, train, make))
+    assert graph.names == ("make", "train", "sample", "judge")
+    assert graph.upstream == {
+        "make": (),
+        "train": ("make",),
+        "sample": ("train",),
+        "judge": ("make", "train", "sample"),
+    }

@@ -736,3 +736,14 @@ def test_a_long_film_is_tracked_in_the_memory_of_a_short_one(tmp_path: Path) -> 
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < peaks[0] + 5_000_000 < 60_000_000
+
+
+def test_a_film_ends_at_the_first_frame_that_cannot_be_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, released = np.zeros((4, 6, 3), dtype=np.uint8), list[bool]()
+    answers = iter([(True, image), (False, None), (True, image)])
+    capture = SimpleNamespace(
+        grab=lambda: True, retrieve=lambda: next(answers), get=lambda _: 0.0, release=lambda: released.append(True)
+    )
+    monkeypatch.setattr(films, "_opened_after", lambda *_: (capture, 0))
+    assert len(list(films._read_video(Path("a.mp4"), 0, 9, None, None))) == 1
+    assert released == [True]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from flows.console import retarget
 from flows.console.app import run_command_line
 from flows.console.inputs import find_take
+from flows.console.retarget import _said
 from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
@@ -251,3 +253,13 @@ def test_a_trained_model_of_a_store_or_a_file_gives_the_motion_and_what_it_learn
     alone = ["retarget", str(files / "a.bvh"), *words[2:], "--model", "naive_fk", "--out", str(tmp_path / "no")]
     assert run_command_line(alone) == 2
     assert "models are of takes of two people, this one has 1" in capsys.readouterr().err
+
+
+def test_a_fitted_body_is_described_by_its_scales_without_the_root_and_by_its_worst_bone() -> None:
+    scale = np.array([9.0, *[0.9] * 10, 1.0, *[1.3] * 10])
+    misfit = {(BODY22.index("left_knee"), BODY22.index("left_ankle")): 0.002, (0, BODY22.index("spine1")): -0.008}
+    fit = SimpleNamespace(bone_scale=scale, num_guessed=2, misfit_m=misfit)
+    said = _said(SimpleNamespace(letter="B"), SimpleNamespace(name="robot"), fit)  # type: ignore[arg-type]
+    assert said == ("B", "robot", "1.000", "0.90-1.30, 2 guessed", "5.0 mm", "8.0 mm", "pelvis and spine1")
+    fit.num_guessed = 0
+    assert _said(SimpleNamespace(letter="B"), SimpleNamespace(name="robot"), fit)[3] == "0.90-1.30"  # type: ignore[arg-type]

@@ -35,6 +35,7 @@ from tasks.ingest.takes.parameters import PersonOptions
 from tasks.ingest.takes.resolution import find_companion, resolve_file
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.stage import SourceFile
+from tasks.user_files import exported_unit_m
 from tasks.views import ViewsParameters
 
 _SURE, _LIKELY = 0.9, 0.6
@@ -358,6 +359,8 @@ def _rate(person: _Person) -> str:
 def _unit(person: _Person) -> str:
     """Return the length unit of a person."""
     unit, name, known_m = person.taken.unit, person.path.name, person.known.metres_per_unit
+    if (exported_m := exported_unit_m(person.path)) is not None:
+        return f"metres_per_unit = {exported_m:.10g}   # stated by the npz beside it: sure"
     if known_m is not None:
         return f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
     if unit.confidence >= MIN_UNIT_CONFIDENCE:

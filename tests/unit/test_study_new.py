@@ -90,6 +90,15 @@ def test_a_unit_that_cannot_be_told_is_left_to_the_user(tmp_path: Path) -> None:
     assert made.ingest.takes[0].persons[0].metres_per_unit is None
 
 
+def test_the_npz_beside_an_exported_bvh_states_its_unit(tmp_path: Path) -> None:
+    path = tmp_path / "odd.bvh"
+    path.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
+    np.savez(path.with_suffix(".npz"), bvh_metres_per_unit=1.0 / 7.0)
+    made = new_study(path)
+    assert "# stated by the npz beside it: sure" in made.text
+    assert made.ingest.takes[0].persons[0].metres_per_unit == pytest.approx(1.0 / 7.0, rel=1e-9)
+
+
 def test_names_of_files_stay_in_notes(tmp_path: Path) -> None:
     path = tmp_path / "odd\nseed = 7 #\x1b.bvh"
     path.write_text(write_bvh(figure_motion(), units_per_metre=7.0))

@@ -79,7 +79,7 @@ class Augmenter:
         settings: AugmentationSettings | None = None,
         *,
         user_contacts: Sequence[UserContact] = (),
-        frame_limits: Limits = FRAME_LIMITS,
+        frame_limits: Limits | None = None,
     ) -> None:
         self.settings = settings or AugmentationSettings()
         if self.settings.floor_m is not None:
@@ -95,7 +95,7 @@ class Augmenter:
             objects=source.objects,
         )
         self._user_contacts = user_contacts
-        self._frame_limits = frame_limits
+        self._frame_limits = FRAME_LIMITS if frame_limits is None else frame_limits
         self.meter = QualityMeter(source, user_contacts)
         self._ready: dict[int, WindowSolver] = {}
 

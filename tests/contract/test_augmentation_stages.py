@@ -439,7 +439,7 @@ def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_seeds_of_its_own(sto
     facts = {name: made[f"cross_interaction {name}"].facts for name in ("again", "again_seed2", "copy_on18")}
     assert [one["skeleton"] for one in facts.values()] == ["body22", "body22", "expi18"]
     one, other = (read_arrays(store, made[f"cross_interaction {name}"].ref) for name in ("again", "again_seed2"))
-    assert not np.array_equal(one["out.0.weight"], other["out.0.weight"])
+    assert not np.array_equal(one["pose.weight"], other["pose.weight"])
 
 
 def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:

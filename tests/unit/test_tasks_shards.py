@@ -49,7 +49,6 @@ from tasks.shards import (
     run,
     worker_environment,
 )
-from tasks.shards.jobs_here import _JobHere
 from tasks.shards.profiles import ClusterProfile, cluster_class, read_profile, started
 from tasks.shards.running import _scheduler_is_there
 from tasks.stage import Shard, StageInputs
@@ -599,8 +598,9 @@ def test_what_many_shards_make_ready_alike_is_kept_from_shard_to_shard(function:
 def test_of_a_job_that_ends_without_a_worker_the_last_words_are_quoted(tmp_path: Path) -> None:
     script = tmp_path / "job.sh"
     script.write_text("head -c 3000 /dev/zero | tr '\\0' x\necho the end >&2\nexit 3\n")
+    job = cluster_class("tasks.shards.jobs_here.JobsHere").job_cls  # its module takes over Ctrl-C where it is imported
     with pytest.raises(RuntimeError) as caught:
-        asyncio.run(_JobHere._submit_job(SimpleNamespace(), str(script)))  # type: ignore[arg-type]
+        asyncio.run(job._submit_job(SimpleNamespace(), str(script)))
     assert str(caught.value) == f"a job ended with code 3; it said: {('x' * 3000 + 'the end' + chr(10))[-2000:]}"
 
 

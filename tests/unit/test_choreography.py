@@ -179,6 +179,16 @@ def test_in_the_hug_the_trunks_come_close():
     assert np.linalg.norm(positions[0, 0, 0] - positions[0, 1, 0]) > 1.2
 
 
+@pytest.mark.parametrize(("duration_s", "open_s"), [(5.0, 4.3), (7.0, 4.3), (12.0, 9.0)])
+def test_a_hug_holds_for_a_second_at_least_and_opens_three_seconds_before_the_end(duration_s, open_s):
+    hug = make_duet("hug", duration_s=duration_s)
+    held = [(contact.start_s, contact.stop_s) for contact in hug.contacts]
+    assert held == [(pytest.approx(3.3), pytest.approx(open_s))] * 4
+    if open_s == 4.3:
+        begun = make_duet("hug", duration_s=4.0).positions_m()
+        np.testing.assert_allclose(hug.positions_m()[: len(begun)], begun, atol=1e-9)
+
+
 def test_in_the_lift_b_hangs_in_a_s_hands_with_both_feet_off_the_floor():
     duet = make_duet("lift")
     positions, time_s = duet.positions_m(), np.arange(duet.num_frames) / duet.rate_hz

@@ -188,13 +188,20 @@ def _check_reports(store: Store) -> Iterator[Problem]:
                 is_same, kind, detail = False, ProblemKind.MISSING, f"it cannot be read: {error.strerror}"
             if not is_same:
                 yield Problem(kind, "runs", folder.run_id, f"report/{path.name}", f"{detail}; {advice}")
-    originals = {
-        file_sha256(page) for folder in list_runs(store) if (page := folder.path / "report" / REPORT_PAGE).is_file()
-    }
-    for page in sorted((store.root / "runs" / "latest").glob("[!.]*.html")):
-        if file_sha256(page) not in originals:
-            detail = "it differs from the report of each run; the next run of its study copies it again"
+    copies = sorted((store.root / "runs" / "latest").glob("[!.]*.html"))
+    originals = {_digest(folder.path / "report" / REPORT_PAGE) for folder in list_runs(store)}
+    for page in copies:
+        if (digest := _digest(page)) is None or digest not in originals:
+            detail = "it is the report of no run that is there; the next run of its study copies it again"
             yield Problem(ProblemKind.CHANGED, "runs", "latest", page.name, detail)
+
+
+def _digest(path: Path) -> str | None:
+    """Return the sha256 of a file; None where it is not there or cannot be read."""
+    try:
+        return file_sha256(path)
+    except OSError:
+        return None
 
 
 def _copied(store: Store, run: Path) -> dict[Path, list[FileEntry]]:

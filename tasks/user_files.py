@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import stat
 import time
 from io import BufferedReader
 from pathlib import Path
-from zipfile import BadZipFile
-
-import numpy as np
 
 from pasdedeux.errors import InputError
+from pasdedeux.formats.npz import get_array, read_npz
 
 MAX_BYTES = 2_000_000_000
 """Largest file that is read into memory whole; films are streamed and may be larger."""
@@ -23,6 +22,7 @@ _SETTLED_NS = 2_000_000_000
 _MAX_DIGESTS = 100_000
 _DIGESTS: dict[tuple[int, ...], str] = {}
 """Digests of files by place on disk, size and times of change: a study is planned several times in a process."""
+_UNIT = "bvh_metres_per_unit"
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),
@@ -115,7 +115,8 @@ def exported_unit_m(path: Path) -> float | None:
     if path.suffix.lower() != ".bvh" or not (beside := path.with_suffix(".npz")).is_file():
         return None
     try:
-        with open_file(beside) as file, np.load(file) as arrays:
-            return float(arrays["bvh_metres_per_unit"])
-    except (InputError, OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile):
+        arrays = read_npz(read_file(beside), "export", lambda name: name == _UNIT)
+        unit_m = float(get_array(arrays, _UNIT, "f", ()))
+    except InputError:
         return None
+    return unit_m if 0.0 < unit_m < math.inf else None

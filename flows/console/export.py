@@ -68,8 +68,8 @@ def export(
     \b
       pasdedeux export variants:duets/waltz --format glb --verdict pass --out new
       pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
-      pasdedeux export contacts:duets --format csv --out contacts   frame by frame
-      pasdedeux export draws:duets --select 500 --out selected      represent all
+      pasdedeux export contacts:duets --format csv --out contacts
+      pasdedeux export draws:duets --select 500 --out selected
     """
     options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
     options |= {"all_methods": True} if all_methods else {}

@@ -55,7 +55,7 @@ def generate(
 
     \b
       pasdedeux generate paper_cvae models/waltz --num 5 --out new
-      pasdedeux generate cvae.safetensors a.bvh b.bvh --scales 0.9,1.1 --num 2
+      pasdedeux generate cvae.safetensors a.bvh b.bvh --num 2 --out new
 
     With --key-frames B passes through given poses: a JSON file with `frames`, such as [10, 40], and `body22_m`, the 22
     joints of B in metres for each of them, in the coordinates of the take.  Without --scales, B gets their bones.

@@ -181,7 +181,9 @@ def build_and_report(
     more = {} if published is None else {"published": published.to_json()}
     lines = _report_lines(run, outcome, made, seconds, published)
     answer({**outcome.to_json(), "seconds": round(seconds, 3), **more}, lines, as_json=as_json)
-    if opens and outcome.page is not None and not webbrowser.open(outcome.page.resolve().as_uri()):
+    if opens and outcome.page is None:
+        echo("there is no report to open: this study makes none", err=True)
+    elif opens and outcome.page is not None and not webbrowser.open(outcome.page.resolve().as_uri()):
         echo(f"no browser starts here; open {outcome.page} in one", err=True)
     refuse_nothing(outcome.missing)
     refuse_unpublished(published)

@@ -157,14 +157,15 @@ def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
 
 def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
     """Return the assumptions about a person's motion: as a study will, and by a draft where no known layout fits."""
-    taken, draft, layout = resolve_file(file, motion), None, ""
+    options = PersonOptions(metres_per_unit=exported_unit_m(path))
+    taken, draft, layout = resolve_file(file, motion, options), None, ""
     if taken.layout is not None:
         layout = taken.layout.name
     elif find_layout(motion.skeleton, motion.rest_offsets) is None:
         draft, name = draft_motion(motion), _identifier(path.stem)
         if not draft.missing:
             parts = {part.part: part.joint for part in draft.parts}
-            taken = resolve_file(file, motion, PersonOptions(layout=name), {name: {"parts": parts}})
+            taken = resolve_file(file, motion, options.model_copy(update={"layout": name}), {name: {"parts": parts}})
             layout = name if taken.layout is not None else ""
     known = known_source(path.name, layout, stated_hz=motion.rate_hz, is_fetched=was_fetched(path, file.sha256))
     return _Person(path, file.sha256, motion, taken, known, layout, draft)
@@ -359,8 +360,8 @@ def _rate(person: _Person) -> str:
 def _unit(person: _Person) -> str:
     """Return the length unit of a person."""
     unit, name, known_m = person.taken.unit, person.path.name, person.known.metres_per_unit
-    if (exported_m := exported_unit_m(person.path)) is not None:
-        return f"metres_per_unit = {exported_m:.10g}   # stated by the npz beside it: sure"
+    if exported_unit_m(person.path) is not None:
+        return f"metres_per_unit = {unit.metres_per_unit:.10g}   # stated by the npz beside it: sure"
     if known_m is not None:
         return f"metres_per_unit = {known_m:g}   # known of CMU's salsa BVH: sure"
     if unit.confidence >= MIN_UNIT_CONFIDENCE:

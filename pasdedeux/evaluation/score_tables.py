@@ -27,7 +27,7 @@ class TextTable:
 
 
 def format_value(value: float, unit: str, num_digits: int = 3) -> str:
-    """Return a figure with its unit, three significant digits, lengths in cm."""
+    """Return a figure with its unit, so many significant digits, lengths in cm."""
     shown_unit, factor = shown_as(unit)
     scaled = 0.0 if unit == "m" and abs(value) < _MIN_LENGTH_M else value * factor
     text = f"{scaled:.{num_digits}g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
@@ -43,8 +43,8 @@ def format_both(value: float, other: float, unit: str) -> tuple[str, str]:
     for num_digits in (3, 4, 5):
         both = format_value(value, unit, num_digits), format_value(other, unit, num_digits)
         if both[0] != both[1]:
-            break
-    return both
+            return both
+    return format_value(value, unit), format_value(other, unit)
 
 
 def shown_as(unit: str) -> tuple[str, float]:

@@ -302,3 +302,5 @@ def test_the_copy_of_the_last_report_is_compared_with_the_reports_of_runs(tmp_pa
     ]
     record_page(store, study, study.encode())
     assert verify(store).is_ok
+    (copy.parent / "unreadable.html").mkdir()
+    assert [problem.file_name for problem in verify(store).problems] == ["unreadable.html"]

@@ -96,6 +96,7 @@ def test_the_npz_beside_an_exported_bvh_states_its_unit(tmp_path: Path) -> None:
     np.savez(path.with_suffix(".npz"), bvh_metres_per_unit=1.0 / 7.0)
     made = new_study(path)
     assert "# stated by the npz beside it: sure" in made.text
+    assert re.search(r"about 1\.7\d m tall", made.said[0])
     assert made.ingest.takes[0].persons[0].metres_per_unit == pytest.approx(1.0 / 7.0, rel=1e-9)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
@@ -22,7 +23,7 @@ from tasks.ingest.film.readers import open_film
 from tasks.ingest.poses2d.readers import open_capture
 from tasks.ingest.takes.known_sources import was_fetched
 from tasks.shards.profiles import read_profile
-from tasks.user_files import digest_of, read_file, read_text_file
+from tasks.user_files import digest_of, exported_unit_m, read_file, read_text_file
 
 ROOT = Path(__file__).parents[2]
 KINDS = {"folder": "a folder", "pipe": "a pipe", "socket": "a socket", "device": "a device", "link": "a device"}
@@ -143,3 +144,20 @@ def test_a_file_is_digested_once_while_it_stays_as_it_is(tmp_path: Path, monkeyp
     monkeypatch.setattr(hashlib, "file_digest", None)
     monkeypatch.setattr(hashlib, "sha256", None)
     assert digest_of(old) == digest_of(old, b"old")
+
+
+@pytest.mark.parametrize("unit_m", [0.0, -1.0, np.nan, np.inf, "metre", [0.01, 0.01]])
+def test_a_unit_that_is_none_is_not_taken_from_an_export(tmp_path: Path, unit_m: object) -> None:
+    np.savez(tmp_path / "a.npz", bvh_metres_per_unit=np.array(unit_m))
+    assert exported_unit_m(tmp_path / "a.bvh") is None
+
+
+def test_a_damaged_export_states_no_unit(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", bvh_metres_per_unit=0.0254, joints_m=np.linspace(0.0, 1.0, 500))
+    assert exported_unit_m(tmp_path / "a.bvh") == 0.0254
+    whole = (tmp_path / "a.npz").read_bytes()
+    found = set()
+    for at in range(0, len(whole), 3):
+        (tmp_path / "a.npz").write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        found.add(exported_unit_m(tmp_path / "a.bvh"))
+    assert found == {None, 0.0254}

@@ -353,6 +353,7 @@ def test_the_notebook_trains_and_is_kept_without_outputs(store: Store, own_cache
 def test_the_benchmark_measures_the_stream_beside_other_readers(label: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("_TAKES", 3), ("_VARIANTS", 2), ("_ROWS_OF_DATASETS", 60)):
         monkeypatch.setattr(loader, name, value)
+    monkeypatch.setattr("datasets.config.SLEEP_TIME_ON_THREADS_SHUTDOWN", 0.0)  # it sleeps for seconds after each pass
     result = loader.BENCHMARKS[label]()
     assert result.fast_per_s > 0.0
     assert result.plain_per_s > 0.0

@@ -453,9 +453,10 @@ def test_a_study_that_ships_runs_or_says_which_files_it_lacks_how_large_they_are
         assert code == 0, said.err
     else:
         assert code == 2
-        assert re.search(
-            r"does not exist in .*, nor do \d+ others of the \d+ that ingest.pairs names; .* MB\b", said.err
-        )
+        words = r"does not exist in .*, nor do (\d+) others of the (\d+) that ingest.pairs names; .* MB\b"
+        lacking = re.search(words, said.err)
+        assert lacking is not None
+        assert int(lacking[1]) == int(lacking[2]) - 1
         assert re.search(r"`pasdedeux fetch [ \w-]+` brings them|--set ingest.pairs.\w+.folder", said.err)
 
 

@@ -245,7 +245,10 @@ def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
     with pytest.raises(ShardError, match=r"^stage grow, t0, shard s0: no room$"):
         run_toys(write_study(tmp_path), tmp_path / "store", graph=Graph(stages))
     assert tried == ["grow t0 s0"]
-    assert [one["status"] for one in describe_runs(Store(tmp_path / "store"))] == ["failed"]
+    store = Store(tmp_path / "store")
+    assert [one["status"] for one in describe_runs(store)] == ["failed"]
+    (store.root / "runs" / "20200101T000000-damaged-000000").mkdir()
+    assert [one["status"] for one in describe_runs(store)] == ["failed"], "a run without a record hides no other"
 
 
 @pytest.mark.parametrize("is_on_cluster", [False, True])

@@ -1,4 +1,4 @@
-"""The arrays that nearly everything is about; docstrings say the axes."""
+"""Types of arrays; docstrings give the axes."""
 
 import math
 from typing import TypeVar
@@ -16,7 +16,7 @@ _Item = TypeVar("_Item", bound=np.generic)
 def merge_axes(array: npt.NDArray[_Item], start: int, stop: int | None = None) -> npt.NDArray[_Item]:
     """Merge axes `start` to `stop`, exclusive, into one; without `stop` to the last.
 
-    A reshape to -1 cannot tell the length of an axis where another one is empty; this can.
+    Unlike a reshape to -1, this works if another axis is empty.
 
     >>> merge_axes(np.zeros((0, 2, 17, 3)), 1, -1).shape
     (0, 34, 3)

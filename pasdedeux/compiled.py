@@ -1,7 +1,4 @@
-"""Functions that numba compiles when they are first called: until then, numba is not even imported.
-
-So what plans, or shows what is there, need not wait for it.
-"""
+"""Kernels, which numba compiles on their first call. Numba is imported then too, so planning need not wait for it."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 _ONE_AT_A_TIME = RLock()
-"""Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
+"""Held while kernels replace their declarations, so that no thread calls a kernel before those that it calls."""
 _LOCKED: set[str] = set()
 """Names of the kernels that this process compiles alone, by the one thread that holds numba's lock."""
 _SYMBOL_NUMBERS = iter(lambda: secrets.randbits(64), -1)
@@ -29,7 +26,7 @@ Numba counts from 1 in every process.  Two processes can then give different cod
 loads both from the cache runs the wrong code or crashes (numba's issue 10486).
 """
 _PATIENCE_S = 10.0
-"""How long a process waits for another before it says so: few kernels take that long."""
+"""A process that waits longer for another logs a message; few kernels take so long to compile."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -43,22 +40,22 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def inner_kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return the decorator of functions that only kernels call: small ones compile in a third of the time.
+    """Return the decorator of functions that only kernels call; small ones compile three times as fast.
 
-    Python must not call them: its process would crash.
+    Never call them from Python: the process would crash.
     """
     return compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)
 
 
 def intrinsic(function: Callable[..., Any]) -> _Kernel:
-    """Return a part of kernels that is written in LLVM's own language: `numba.extending.intrinsic`."""
+    """Declare an intrinsic, written in LLVM IR, that kernels may call: `numba.extending.intrinsic`."""
     return _Intrinsic(function, {})
 
 
 class _Kernel:
-    """A function to be compiled; numba sees what it would see if all kernels had been made by `numba.njit` at once.
+    """A function that is compiled on its first call, after the kernels that it calls.
 
-    But for kernels that it names in a comprehension alone.
+    Kernels named only inside a comprehension are not found.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
@@ -75,7 +72,7 @@ class _Kernel:
         return self._made(*arguments, **named)
 
     def _make(self) -> Any:
-        """Hand the function to numba; the kernels that it calls, itself perhaps, are put in their places."""
+        """Hand the function to numba, and put compiled kernels in place of those that it calls."""
         if self._begun is None:
             self._begun = _compiled_once(self._function, self._options)
             used, names = self._function.__globals__, self._function.__code__.co_names
@@ -91,7 +88,7 @@ class _Kernel:
 
 
 class _Intrinsic(_Kernel):
-    """What kernels may call; from Python, nobody can."""
+    """An intrinsic: only kernels can call it."""
 
     def _make(self) -> Any:
         if self._begun is None:
@@ -102,10 +99,10 @@ class _Intrinsic(_Kernel):
 
 
 def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """Return what numba makes of a function, compiled once for arguments of a type.
+    """Return a function that numba compiles once for each signature.
 
-    Numba would compile it for each constant that a kernel passes, and in every process that asks at the same time: here
-    one compiles, the others wait and load.  Where nothing can be kept, each process compiles for itself.
+    Left alone, numba compiles again for each constant that a kernel passes, and in every process that asks at the same
+    time. Here one process compiles; the others wait and load. Without a writable cache, each process compiles.
     """
     from numba import __version__, config, njit
     from numba.core.bytecode import FunctionIdentity
@@ -120,11 +117,11 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     try:
         made = njit(cache=True, **options)(function)
         base, stamp = made._cache._impl.filename_base, made._cache._cache_file._source_stamp
-        # Files of its own for each version of numba: each would replace those of the other, and compile for minutes.
-        # `unique`: files of before had symbols that were not.
+        # Each version of numba has its own files; with shared ones, two versions would recompile in turns, for minutes.
+        # `unique`: symbols in older files were not unique.
         name = f"{base}-{__version__}-unique"
         files = made._cache._cache_file = IndexDataCacheFile(made.stats.cache_path, name, stamp)
-    except RuntimeError:  # no folder that it may write to
+    except RuntimeError:  # there is no writable folder
         made, files = njit(**options)(function), None
     compile_anew = made.compile
 
@@ -132,13 +129,13 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
         arguments = tuple(unliteral(argument) for argument in signature)
         if arguments in made.overloads:
             return made.overloads[arguments].entry_point
-        # Numba's own lock first: who waits for a file here holds all files that other threads may wait for.
+        # Take numba's lock first, so that no thread waits for a file while another holds it and waits for numba.
         with global_compiler_lock, _alone(made.stats.cache_path, f"{function.__module__}.{function.__qualname__}"):
             if files is not None:
                 _drop_old_code(files)
             try:
                 return compile_anew(arguments)
-            except OSError:  # the disk of the cache is full, or was taken away
+            except OSError:  # the cache's disk is full or gone
                 if arguments not in made.overloads:
                     raise
                 return made.overloads[arguments].entry_point
@@ -149,10 +146,10 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
 
 @contextmanager
 def _alone(folder: str | None, name: str) -> Iterator[None]:
-    """Let no other process of this machine be in this block for the kernel of this name; where files can be locked.
+    """Hold this machine's lock on the kernel of this name, if the file system has locks.
 
-    Kernels call each other in one direction, so processes never wait in a circle; one that calls itself with arguments
-    of another type is in its own block already.
+    There are no deadlocks, since kernels call each other in one direction. A kernel that calls itself with other types
+    holds its lock already.
     """
     handle = None
     try:
@@ -169,7 +166,7 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
 
 
 def _wait_for(handle: int, name: str) -> None:
-    """Lock a file, and say once who has locked it where that takes long: if that process is stopped, for ever."""
+    """Lock a file. After a long wait, log once which process holds it: if that one is stopped, the wait never ends."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -180,8 +177,8 @@ def _wait_for(handle: int, name: str) -> None:
             fcntl.flock(handle, fcntl.LOCK_EX)
         finally:
             patience.cancel()
-            patience.join()  # it may be reading the file, which is closed soon
-    with suppress(OSError):  # a disk that is full
+            patience.join()  # it may still be reading the file, which is closed next
+    with suppress(OSError):  # the disk is full
         os.ftruncate(handle, 0)
         os.pwrite(handle, str(os.getpid()).encode(), 0)
 
@@ -195,10 +192,10 @@ def _say_who(handle: int, name: str) -> None:
 
 
 def _drop_old_code(files: Any) -> None:
-    """Remove what was compiled from other sources of a kernel before it is compiled anew.
+    """Remove code that was compiled from older sources of a kernel.
 
-    Numba replaces its index first, then the code that it names: after a kill between the two, or on a full disk, the
-    index would name the old code.  An index that was cut off, or names a type that no longer exists, goes too.
+    Numba replaces its index before the code that it names. A kill between the two, or a full disk, would leave an index
+    that names old code. A truncated index, or one that names a type that no longer exists, is removed too.
     """
     with suppress(OSError):
         index = Path(files._index_path)

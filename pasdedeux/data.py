@@ -1,6 +1,6 @@
 """Takes, variants, draws and contacts of a store, and windows to train on: `from pasdedeux.data import Data`.
 
-This module only shows what `tasks.data` and `tasks.windows` define; their names stay valid.
+Everything is defined in `tasks.data` and `tasks.windows`, and can be imported from there too.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The errors of the science: one root, a few children, all of them survive pickling."""
+"""Errors of the science. All have one root and survive pickling."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numbers import Integral
 
 
 class PasdedeuxError(Exception):
-    """Root of every error that the science raises on purpose; the message is one clear sentence."""
+    """Root of all errors that are raised on purpose; the message is one clear sentence."""
 
 
 class InputError(PasdedeuxError):
@@ -20,7 +20,7 @@ class FormatError(InputError):
 
 
 class NobodyError(InputError):
-    """Nobody is in a source of 2D poses, or nobody who can be followed."""
+    """A source of 2D poses shows nobody, or nobody that can be tracked."""
 
 
 def check_positive(value: float, what: str) -> None:
@@ -30,7 +30,7 @@ def check_positive(value: float, what: str) -> None:
 
 
 def check_whole(value: object, what: str, *, minimum: int) -> None:
-    """Refuse a value that is no whole number or below the minimum."""
+    """Refuse a value that is not a whole number or is below the minimum."""
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or value < minimum:  # type: ignore[operator]
         raise InputError(f"{what} is {value!r}; it must be a whole number, {minimum} or more")
@@ -38,7 +38,7 @@ def check_whole(value: object, what: str, *, minimum: int) -> None:
 
 @contextmanager
 def named(where: str) -> Iterator[None]:
-    """Put in front of an InputError what it is about, such as the file or the take."""
+    """Prefix an InputError with its subject, such as the file or the take."""
     try:
         yield
     except InputError as error:

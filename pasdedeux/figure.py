@@ -1,10 +1,10 @@
-"""A figure is declared once, where it is measured: its column, its words, its limits and its complaints follow.
+"""Figures: measured values, each declared once with its column, words, limits and complaint.
 
-What is measured is held in a dataclass, each field of which declares its figure:
+A measurement is a dataclass; each of its fields declares a figure:
 
     drop_m: float = figure("Greatest drop of a joint", (0.1, 0.5))
 
-Tables whose columns they are stand in `tasks/figures.py`.
+`tasks/figures.py` has the tables with these columns.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pasdedeux.arrays import Integers
 from pasdedeux.verdict import Level
 
 Limits = Mapping[str, tuple[float, float]]
-"""By figure: past the first it is a warning, past the second a failure."""
+"""Limits by figure: past the first, a value is a warning; past the second, a failure."""
 
 LEVELS = (Level.PASS, Level.WARN, Level.FAIL)
 """Levels by the number of limits that a figure is past."""
@@ -37,12 +37,13 @@ class Figure:
     Args:
         name: Name of its field, its column and its limits.
         unit: Its unit, with which the name ends.
-        meaning: What it is, for the data dictionary and the report.
-        better: Which values are, such as smaller or larger; empty where it is not known.
-        limits: Past the first (above it; below where larger is better) it is a warning, past the second a failure; None
-            where it is not judged.
-        words: What people call it.
-        complaint: Sentence past a limit, with fields of the dataclass in braces; else its value and the limit.
+        meaning: Its meaning, for the data dictionary and the report.
+        better: Whether smaller or larger values are better; empty if unknown.
+        limits: Past the first (above it; below it if larger is better) a value is a warning, past the second a failure;
+            None if the figure is not judged.
+        words: Its name in words.
+        complaint: Sentence for a value past a limit, with fields of the dataclass in braces; the default gives value
+            and limit.
         kind: Type of its column: float, int or str.
         is_nullable: Whether the column may be null.
     """
@@ -59,51 +60,51 @@ class Figure:
 
     @property
     def metric(self) -> str:
-        """What its scores are called, but for mean, worst and the like."""
+        """The name of its scores, without mean, worst and so on."""
         return self.name.removesuffix("_m")
 
     def num_past(self, value: Any, limits: tuple[float, float]) -> Integers:
-        """Return how many limits a value, or each of an array, is past; none where it is NaN or None."""
+        """Return how many limits a value, or each value of an array, is past; 0 for NaN and None."""
         sign = -1.0 if self.better == "larger" else 1.0
         warned, failed = (sign * np.asarray(value, dtype=np.float64) > sign * limit for limit in limits)
         return np.add(warned, failed, dtype=np.int64)
 
 
 def figure(meaning: str = "", limits: tuple[float, float] | None = None, **more: str) -> Any:
-    """Declare a field of a dataclass as a `Figure`, with better, words and complaint where they are given.
+    """Declare a field of a dataclass as a `Figure`, optionally with `better`, `words` and `complaint`.
 
-    Else the words, and always the unit, are those of the field's name, and what limits go away from is better.
+    The unit comes from the field's name, as do the words by default; by default, limits give what is better.
     """
     given = {"meaning": meaning, "limits": limits, **more}
     return field(metadata={name: value for name, value in given.items() if value})
 
 
 def figures_of(owner: type, like: Mapping[str, Figure] = MappingProxyType({})) -> dict[str, Figure]:
-    """Return the figures of a dataclass by name, in its order; what is not given is as in those of `like`."""
+    """Return the figures of a dataclass by name, in its order; `like` gives defaults for fields of the same name."""
     figures = {}
-    for one in fields(owner):
-        if one.metadata or one.name in like:
-            ending = next((ending for ending in _UNITS if one.name.endswith(ending)), "")
-            words = one.name.removesuffix(ending).replace("_", " ")
-            kind = one.type if one.type in ("int", "str") else "float"
-            warn, fail = one.metadata.get("limits", (0.0, 0.0))
+    for member in fields(owner):
+        if member.metadata or member.name in like:
+            ending = next((ending for ending in _UNITS if member.name.endswith(ending)), "")
+            words = member.name.removesuffix(ending).replace("_", " ")
+            kind = member.type if member.type in ("int", "str") else "float"
+            warn, fail = member.metadata.get("limits", (0.0, 0.0))
             better = "smaller" if warn < fail else "larger" if fail < warn else ""
-            plain = Figure(one.name, _UNITS.get(ending, ""), "", better, words=words, kind=kind)
-            known = like.get(one.name, plain)
-            figures[one.name] = replace(known, is_nullable="None" in str(one.type), **one.metadata)
+            plain = Figure(member.name, _UNITS.get(ending, ""), "", better, words=words, kind=kind)
+            known = like.get(member.name, plain)
+            figures[member.name] = replace(known, is_nullable="None" in str(member.type), **member.metadata)
     return figures
 
 
 def limits_of(figures: Mapping[str, Figure]) -> dict[str, tuple[float, float]]:
-    """Return the limits of the figures that are judged."""
+    """Return the limits of all judged figures."""
     return {name: figure_.limits for name, figure_ in figures.items() if figure_.limits is not None}
 
 
 def complete_limits(figures: Mapping[str, Figure], given: Limits) -> dict[str, tuple[float, float]]:
-    """Return the limits of all figures that are judged, those given in place of the declared ones.
+    """Return the limits of all judged figures: given ones replace declared ones.
 
     Raises:
-        ValueError: A figure that is not judged, or limits that are negative or in the wrong order.
+        ValueError: A figure is not judged, or limits are negative or in the wrong order.
     """
     known = limits_of(figures)
     for name, (warn, fail) in given.items():
@@ -117,7 +118,7 @@ def complete_limits(figures: Mapping[str, Figure], given: Limits) -> dict[str, t
 
 
 def complaints(measured: Any, figures: Mapping[str, Figure], limits: Limits) -> Iterator[tuple[Figure, Level, str]]:
-    """Yield each figure of what was measured that is past a limit, how bad that is, and a sentence on it."""
+    """Yield each measured figure that is past a limit, with its level and a sentence."""
     for name, both in limits.items():
         declared, value = figures[name], getattr(measured, name)
         if count := int(declared.num_past(value, both)):

@@ -1,4 +1,4 @@
-"""Some of many, evenly spread: which frames, annotations or rows stand for all of them."""
+"""Evenly spread samples of frames, annotations or rows."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ T = TypeVar("T")
 
 
 def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArray[np.int64]:
-    """Return at most `count` indices below `total`, evenly spread and rising; two or more hold the first and the last.
+    """Return at most `count` indices below `total`, evenly spread and rising; two or more include the first and last.
 
-    All of them where there are no more than asked for; none of none.  Without ends they stand as far from the first and
-    the last as from each other.
+    Returns all indices if there are no more than `count`. Without ends, the outer gaps are as wide as the others.
 
     >>> evenly_spread(10, 4).tolist()
     [0, 3, 6, 9]
@@ -29,7 +28,7 @@ def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArr
 
 
 def some_of(items: Sequence[T], count: int, *, has_ends: bool = True) -> list[T]:
-    """Return at most `count` of these, evenly spread and in order, as `evenly_spread` has it.
+    """Return at most `count` of these, evenly spread and in order; see `evenly_spread`.
 
     >>> some_of("abcde", 3)
     ['a', 'c', 'e']

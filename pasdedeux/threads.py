@@ -1,7 +1,7 @@
-"""One thread for linear algebra: its problems here are small, so that threads would mostly wait for each other.
+"""One thread for linear algebra: the problems here are small, so threads would mostly wait for each other.
 
-The reconstruction of two people in 300 frames took six times the processor time with two threads (12.7 against 2.0 s),
-and sums of several threads are rounded otherwise.
+With two threads, reconstructing two people over 300 frames took six times the processor time (12.7 against 2.0 s).
+Rounding also depends on the number of threads.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ THREAD_VARIABLES = (
     "OPENCV_FOR_THREADS_NUM",
     "POLARS_MAX_THREADS",
 )
-"""What libraries read when they are first imported."""
+"""Variables that libraries read on import."""
 _ELSE_OPENMP = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
-"""Without these, their libraries take OMP_NUM_THREADS."""
+"""Libraries fall back to OMP_NUM_THREADS if these are not set."""
 
 
 def use_one_thread() -> None:
-    """Let libraries that are not imported yet have one thread, where the environment does not say how many."""
+    """Limit libraries that are not imported yet to one thread, unless the environment sets a number."""
     said = _ELSE_OPENMP if "OMP_NUM_THREADS" in os.environ else ()
     for name in THREAD_VARIABLES:
         if name not in said:

@@ -1,4 +1,4 @@
-"""Verdicts: is a result good, in one word, one sentence and one figure beside its baseline."""
+"""Verdicts: whether a result is good, in one word, one sentence and one figure beside its baseline."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Level(StrEnum):
-    """How good a result is, the worst last; what there was too little of to judge is no pass."""
+    """Levels from best to worst; too little data to judge is not a pass."""
 
     PASS = "pass"
     NOT_JUDGED = "not judged"
@@ -19,7 +19,7 @@ class Level(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Its place among levels: the worst has the greatest."""
+        """Its rank among levels: the worst has the highest."""
         return list(Level).index(self)
 
 
@@ -29,13 +29,13 @@ class Paired:
 
     Args:
         method: The method.
-        baselines: What it is compared with.
-        count: How many things the items are of, such as variants, each of many frames.
+        baselines: The methods that it is compared with.
+        count: Number of things that the items belong to, such as variants, each of many frames.
         takes: Take of each block.
         seconds: Its second within the take.
         sizes: Number of items in each block.
         sums: Sums over these items, by method and baseline.
-        is_larger_better: For shares; errors are better smaller.
+        is_larger_better: True for shares, False for errors.
     """
 
     method: str
@@ -49,11 +49,11 @@ class Paired:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Paired:
-        """Return what `dataclasses.asdict` gave, read back from JSON."""
+        """Return the instance from the JSON of its `dataclasses.asdict`."""
         rows: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
-        return cls(**{**rows, "sums": {name: tuple(found) for name, found in values["sums"].items()}})
+        return cls(**{**rows, "sums": {name: tuple(sums) for name, sums in values["sums"].items()}})
 
 
 @dataclass(frozen=True)
@@ -62,19 +62,19 @@ class Verdict:
 
     Args:
         level: pass, not judged, warn or fail.
-        reason: Why, in words; empty where it passes and there is nothing to say.
-        figure: Name of the one figure that matters, in words ("contact drift"); empty without one.
-        value: That figure, a mean where it is over several things; NaN without one.
+        reason: The reason, in words; may be empty for a pass.
+        figure: Name of the one figure that matters, in words ("contact drift"); empty if there is none.
+        value: That figure, or its mean over several things; NaN if there is none.
         unit: Its unit.
-        baseline: The same figure of the baseline; NaN without one.
+        baseline: The same figure of the baseline; NaN if there is none.
         baseline_name: Name of the baseline ("plain forward kinematics").
-        count: How many things the figure is over.
-        thing: What these are, in the plural ("variants").
-        tally: Where this stands for several results: levels, reasons, and how many results have them.
-        paired: What the level rests on, where methods were compared on the same items.
+        count: Number of things that the figure covers.
+        thing: Their name in the plural ("variants").
+        tally: For a verdict on several results: levels, reasons, and the number of results with each.
+        paired: Evidence for the level, if methods were compared on the same items.
 
     Raises:
-        ValueError: Something other than pass has no reason.
+        ValueError: A level other than pass has no reason.
     """
 
     level: Level

@@ -32,7 +32,7 @@ PARTITION = "report"
 _OPENING = ("augmentation", "generation", "reconstruction", "lifting", "takes", "clips")
 """Topics whose moving people the page opens on, the best first."""
 _STAGES = {"takes": "ingest", "models": "training"}
-"""The stage whose results the section of a topic shows, where that is not called like the topic."""
+"""The stage whose results a topic's section shows, where it has another name than the topic."""
 _MAX_NOTES = 60
 """Sentences of a section, at most; tables have the rest."""
 _MAX_PICTURES = 24
@@ -188,7 +188,7 @@ def _section(
     parts = [manifest for manifest in manifests if manifest.partition == topic.name]
     if not parts:
         return None
-    topic_scores = scores[topic.name]
+    topic_scores, stage = scores[topic.name], _STAGES.get(topic.name, topic.name)
     means = mean_table(topic_scores, caption=f"{topic.heading}: means") if topic.has_means_first else None
     figures = [score_table(topic_scores, caption=f"{topic.heading}: figures")] if topic_scores else []
     known = meanings({name for score in topic_scores for name in (score.method, score.metric)})
@@ -205,7 +205,7 @@ def _section(
         heading=topic.heading,
         paragraphs=(
             topic.introduction,
-            *_of_stage(topic.name, summary),
+            *_of_stage(stage, summary),
             *_shortened(folded(note for part in parts for note in TopicFacts.of(part).notes)),
         ),
         tables=(*topic.tabulate(scores), *([] if means is None else [means]), *figures, *names),
@@ -215,12 +215,12 @@ def _section(
             for name, verdict in summary.verdicts.items()
             if f"{name} ".startswith(f"{part_name(EVALUATION.name, topic.name)} ")
         },
-        stage=_STAGES.get(topic.name, topic.name),
+        stage=stage,
     )
 
 
 def _of_stage(stage: str, summary: Summary) -> list[str]:
-    """Return a sentence on what a stage of this name finds in its own results, where that is not good."""
+    """Return a sentence with the verdict of a stage on its own results; none where it passes or has no verdict."""
     verdict = summary.verdicts.get(stage)
     return [] if verdict is None or verdict.level is Level.PASS else [f"Stage {stage}: {verdict_words(verdict)}."]
 

@@ -16,7 +16,7 @@ from tasks.committing import commit
 from tasks.facts import Facts, TopicFacts, merge_takes
 from tasks.stage import Parameters, Shard, StageInputs, StageName
 
-EVALUATION = StageName("evaluation", 70)
+EVALUATION = StageName("evaluation", 71)
 
 ScoresOf = Mapping[str, Sequence[Score]]
 """Scores of all shards by topic."""

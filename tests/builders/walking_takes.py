@@ -20,7 +20,9 @@ def _bodies(positions: np.ndarray) -> dict[str, np.ndarray]:
     return {"body22_m": body22, "body22_world_unitquat": world}
 
 
-def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: bool = False) -> Manifest:
+def put_take(
+    store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: bool = False, **more_facts: object
+) -> Manifest:
     frames = 90
     worlds = [walk(frames, seed=sum(map(ord, take_id)) + person, rate_hz=rate_hz) for person in range(2)]
     joints = np.concatenate(worlds)
@@ -28,4 +30,6 @@ def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: 
         take_id, 2, frames, rate_hz=rate_hz, is_held_out=is_held_out, op14_m=joints, **_bodies(joints)
     )
     rest = {"take_id": [take_id] * 2, "person": np.arange(2), "body22_rest_m": np.stack([REFERENCE_REST_M] * 2)}
-    return put(store, "ingest", take_id, {"poses": columns, "takes": random_columns("takes", 2) | rest}, facts)
+    return put(
+        store, "ingest", take_id, {"poses": columns, "takes": random_columns("takes", 2) | rest}, facts | more_facts
+    )

@@ -13,6 +13,7 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import Store
 from tasks.evaluation import STAGE
 from tasks.facts import ModelFacts, VariantFacts
+from tasks.judgements import VERDICT_FACT
 from tasks.stage import StageInputs
 from tasks.summary import summary_of
 from tests.builders.pages import Page
@@ -54,6 +55,14 @@ def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_key
     assert "1 take" in card
     assert "No data in this run" not in card, "the card lists what the data skipped, not the page"
     assert "made up (licence: CC0)" in text
+
+
+@pytest.mark.parametrize("level", [Level.PASS, Level.WARN])
+def test_the_section_of_takes_says_what_their_stage_warns_of(tmp_path: Path, level: Level) -> None:
+    store = Store(tmp_path)
+    put_take(store, "waltz", **{VERDICT_FACT: Verdict(level, "feet float").to_json()})
+    _, text, _ = page_of(store, 1)
+    assert ("Stage ingest: warn: feet float." in text) == (level is Level.WARN)
 
 
 def test_a_page_of_30_takes_has_the_first_pictures_and_rows_and_names_what_lies_beside_it(

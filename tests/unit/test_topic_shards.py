@@ -14,6 +14,7 @@ from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair, true_direction
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.score_tables import format_value
 from pasdedeux.interaction.nearest import pair_table
 from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
@@ -378,7 +379,13 @@ def test_a_held_out_take_is_seen_and_reconstructed_from_every_direction_in_each_
     assert [picture.name for picture in pictures] == [f"parallel_views-held-person-{at}.player.json" for at in (0, 1)]
     assert json.loads(pictures[0].content)["num_frames"] > 10
     (table,) = unseen_views.PARALLEL_VIEWS.tabulate({"parallel_views": result.scores})
-    assert [row[:3] for row in table.rows[:1]] == [("held person 0, mean of views", "9.4 cm", "-")]
+    item = f"held person 0, {unseen_views._ALL_VIEWS}"
+    fit = next(
+        one.value for one in result.scores if (one.metric, one.method, one.item) == ("error_root_kept", "fit", item)
+    )
+    row = dict(zip(table.headings, table.rows[0], strict=True))
+    assert (row["motion"], row["paper"], row["VNect"]) == (item, *unseen_views._STATED[unseen_views._ALL_VIEWS])
+    assert row[in_words("fit")] == format_value(fit, "m")
     shard = unseen_views.PARALLEL_VIEWS.shard(
         inputs, "x", planned[0].parameters, take=[take], parts=[parts[1]], clusters=[]
     )

@@ -105,6 +105,15 @@ def place_columns(places: Iterable[PairPlace]) -> dict[str, list[Any]]:
     return {name: [place[at] for place in listed] for at, name in enumerate(PLACE_COLUMNS)}
 
 
+def annotation_columns(places: Sequence[PairPlace | None]) -> dict[str, list[Any]]:
+    """Return the columns of `draws` and `seeds` that name the annotation of each row; null where it has none."""
+    return {
+        "sequence_id": [place and place.sequence_id for place in places],
+        "sequence_frame": [place and place.frame for place in places],
+        "sequence_person_id": [place and place.person_id for place in places],
+    }
+
+
 def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[PairPlace, dict[int, int]]:
     """Return the rows of every pair by person id, of the wanted rows (row,) of `annotations`.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -185,8 +185,6 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
     take_id = TakeFacts.of(manifest).take_id
     known = {v.variant_id: v for v in _variations(manifest, parameters)}
     take = read_take(store, manifest.ref)
-    started = time.monotonic()
-    augmenter = Augmenter(take.source, parameters, user_contacts=parameters.contacts)
     facts = VariantFacts(
         takes=(take_id,),
         take_id=take_id,
@@ -199,22 +197,33 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         # What reads variants solves more of them: how is part of the content, where the bytes do not tell.
         parameters=parameters.model_dump(mode="json", exclude={"limits"}),
     )
-    verdicts: list[Verdict] = []
     together = _OF_LONG_TAKES if take.source.num_frames > _LONG_FRAMES else _SOLVED_TOGETHER
-    with store.writer(**artifact_fields(shard, store), facts=facts.to_json()) as writer:
+
+    def solve() -> Iterator[Variant]:
+        augmenter = Augmenter(take.source, parameters, user_contacts=parameters.contacts)
         for start in range(0, len(parameters.variants), together):
-            batch = [known[name] for name in parameters.variants[start : start + together]]
-            for variant in augmenter.solve(batch):
-                verdicts.append(variant.verdict)
-                write_variant(writer, take_id, take, variant)
+            yield from augmenter.solve([known[name] for name in parameters.variants[start : start + together]])
+
+    return write_variants(shard, store, take, facts, solve(), timing="solve_s")
+
+
+def write_variants(
+    shard: Shard, store: Store, take: TakeMotion, facts: VariantFacts, variants: Iterable[Variant], *, timing: str
+) -> ArtifactRef:
+    """Stream variants to the store as they are made, and commit them with one verdict and the time they took."""
+    verdicts, started = [], time.monotonic()
+    with store.writer(**artifact_fields(shard, store), facts=facts.to_json()) as writer:
+        for variant in variants:
+            verdicts.append(variant.verdict)
+            _write_variant(writer, facts.take_id, take, variant)
         summary = merge_verdicts(verdicts)
         assert summary is not None
         writer.facts[VERDICT_FACT] = summary.to_json()
-        writer.timings["solve_s"] = time.monotonic() - started
+        writer.timings[timing] = time.monotonic() - started
     return writer.ref
 
 
-def write_variant(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:
+def _write_variant(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:
     """Write the rows of one variant, of the solver or of a model."""
     frames, people = take.source.num_frames, take.source.num_people
     name = variant.variation.variant_id

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.augmentation import Variant
 from pasdedeux.augmentation.variations import Scale
 from pasdedeux.errors import InputError, named
-from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.learning.key_frames import KeyFrames, read_key_frames
 from pasdedeux.learning.model import VariantModel
 from pasdedeux.learning.registry import model_class
 from pasdedeux.learning.sampling import VariantSampler
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.augmentation import BatchParameters, write_variant
-from tasks.committing import artifact_fields
+from tasks.augmentation import BatchParameters, write_variants
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts, VariantOrigin
 from tasks.ingest.files import load_file, read_again
-from tasks.judgements import VERDICT_FACT
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.streams import stream
 from tasks.sweep import SweptParameters
@@ -175,10 +172,6 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     keys: KeyFrames | None = None
     for file in shard.files:
         keys = read_key_frames(read_again(file), Path(file.path).name)
-    started = time.monotonic()
-    sampler = VariantSampler(
-        load_stored(store, stored), take.source, take_id=take_id, contacts=facts.contacts, key_frames=keys
-    )
     indices = range(options.first, options.first + options.count)
     names = tuple(variant_name(options.model, index) for index in indices)
     made = VariantFacts(
@@ -199,18 +192,15 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             seed=shard.seed,
         ),
     )
-    verdicts = []
-    with store.writer(**artifact_fields(shard, store), facts=made.to_json()) as writer:
+
+    def sample() -> Iterator[Variant]:
+        model = load_stored(store, stored)
+        sampler = VariantSampler(model, take.source, take_id=take_id, contacts=facts.contacts, key_frames=keys)
         for index, name in zip(indices, names, strict=True):
             scale = np.full(BODY22.num_joints, options.scales[index % len(options.scales)]) if options.scales else None
-            variant = sampler.sample(name, sampling_stream(shard.seed, take_id, index), scale)
-            verdicts.append(variant.verdict)
-            write_variant(writer, take_id, take, variant)
-        summary = merge_verdicts(verdicts)
-        assert summary is not None
-        writer.facts[VERDICT_FACT] = summary.to_json()
-        writer.timings["sample_s"] = time.monotonic() - started
-    return writer.ref
+            yield sampler.sample(name, sampling_stream(shard.seed, take_id, index), scale)
+
+    return write_variants(shard, store, take, made, sample(), timing="sample_s")
 
 
 STAGE = Stage(

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-import numpy as np
-
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.motion_players import reconstruction_player
 from pasdedeux.evaluation.names import in_words
@@ -14,7 +12,7 @@ from pasdedeux.evaluation.pictures import PLAYER, Picture
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.curation import without
 from tasks.products import product_rows
-from tasks.takes import rate_of
+from tasks.takes import by_frame_and_person, rate_of
 
 
 class ShownMotion(NamedTuple):
@@ -48,10 +46,7 @@ def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[s
     if not table.num_rows:
         return None
     method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
-    frames, rows = np.unique(table["frame"], return_inverse=True)
-    persons, columns = np.unique(table["person_id"], return_inverse=True)
-    positions_m = np.full((len(frames), len(persons), 14, 3), np.nan)
-    positions_m[rows, columns] = table["op14_m"]
+    positions_m, _, _ = by_frame_and_person(table["frame"], table["person_id"], table["op14_m"])
     caption = (
         f"{sequence_id}: reconstructed ({in_words(method)}; Yiannakides et al. 2019, fig. 6), "
         "a colour for each person. Turn it: limbs that are too "

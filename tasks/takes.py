@@ -31,6 +31,17 @@ def rate_of(times_s: np.ndarray) -> float:
     return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
 
 
+def by_frame_and_person(
+    frame: np.ndarray, person_id: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return values (row, ...) as (frame, person, ...), NaN where a person is not there, with the frames and people."""
+    frames, rows = np.unique(frame, return_inverse=True)
+    people, columns = np.unique(person_id, return_inverse=True)
+    arranged = np.full((len(frames), len(people), *values.shape[1:]), np.nan)
+    arranged[rows, columns] = values
+    return arranged, frames, people
+
+
 def takes_of(inputs: StageInputs, num_persons: int, *, or_more: bool = False) -> list[Manifest]:
     """Return the takes of so many people, or of more too."""
     counts = [(take, TakeFacts.of(take).num_persons) for take in inputs.of("poses")]

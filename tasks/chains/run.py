@@ -33,7 +33,7 @@ from pasdedeux.sampling.speeds import Speeds, annotation_speeds
 from pasdedeux.sampling.warm_up import disperse, warm_up
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PairPlace, PlacedPairs, gather, gather_tracks
+from tasks.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, gather_tracks
 from tasks.chains.parameters import ChainSegmentParameters, RepairParameters, SummaryParameters
 from tasks.committing import commit, followed
 from tasks.facts import ChainFacts, DrawFacts, merge_takes
@@ -204,13 +204,7 @@ def _nearest(evidence: AnnotationEvidence, pairs_m: np.ndarray) -> dict[str, Any
         view = int(np.argmin(nearest.dissimilarity_m))
         places[draw] = evidence.places[int(nearest.entry[view])]
         views[draw], distances[draw] = likelihood.directions[view], nearest.dissimilarity_m[view]
-    return {
-        "sequence_id": [place and place.sequence_id for place in places],
-        "sequence_frame": [place and place.frame for place in places],
-        "sequence_person_id": [place and place.person_id for place in places],
-        "view": views,
-        "dissimilarity_m": distances,
-    }
+    return {**annotation_columns(places), "view": views, "dissimilarity_m": distances}
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ import numpy as np
 
 from pasdedeux.evaluation.pictures import Picture, image_panel, pack_player
 from pasdedeux.skeletons import OP14
-from storage_schema import Store, TableData
+from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import SequenceFacts
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.takes import rate_of
+from tasks.takes import by_frame_and_person, rate_of
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20
 _CLIP_S = 4.0
@@ -38,11 +38,12 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 class _ShownClips(NamedTuple):
-    """The first seconds of a sequence: keypoints (drawn frame, person, 14, 2), pixels, all times, the image's size."""
+    """The first seconds of a sequence, thinned out: keypoints (frame, person, 14, 2), pixels, times, and image size."""
 
     sequence_id: str
     keypoints_px: np.ndarray
     times_s: np.ndarray
+    rate_hz: float
     size_px: tuple[int, int]
 
 
@@ -53,34 +54,25 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownClips]:
     data = store.read(annotations, "annotations", columns=columns)
     is_here = data["sequence_id"] == sequence_id
     is_here &= data["time_s"] < _CLIP_S + data["time_s"][is_here].min()
-    keypoints, times = _by_frame(data, is_here)
-    step = max(1, round(rate_of(times) / _RATE_HZ))
-    keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    return TopicResult(shown=_ShownClips(sequence_id, keypoints, times, size))
+    rows = {name: data[name][is_here] for name in columns[1:]}
+    keypoints, _, _ = by_frame_and_person(rows["frame"], rows["person_id"], rows["op14_px"])
+    times = rows["time_s"][np.unique(rows["frame"], return_index=True)[1]]
+    rate_hz = rate_of(times)
+    step = max(1, round(rate_hz / _RATE_HZ))
+    keypoints, size = _image(keypoints[::step], rows["image_width_px"][0], rows["image_height_px"][0])
+    return TopicResult(shown=_ShownClips(sequence_id, keypoints, times[::step], rate_hz / step, size))
 
 
 def _draw(shown: _ShownClips) -> Iterator[Picture]:
     """Show the clip."""
-    step = max(1, round(rate_of(shown.times_s) / _RATE_HZ))
     panel = image_panel(shown.sequence_id, OP14, shown.keypoints_px, shown.size_px)
-    labels = [f"{time:.1f} s" for time in shown.times_s[::step]]
+    labels = [f"{time:.1f} s" for time in shown.times_s]
     caption = (
         f"Sequence {shown.sequence_id}: the first seconds of its 2D poses. A limb that is missing or jumps "
         "is an error of the detector."
     )
-    player = pack_player([panel], rate_hz=rate_of(shown.times_s) / step, labels=labels)
+    player = pack_player([panel], rate_hz=shown.rate_hz, labels=labels)
     yield Picture(f"clip-{shown.sequence_id.replace('/', '-')}.player.json", caption, player)
-
-
-def _by_frame(data: TableData, is_here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return keypoints (frame, person, 14, 2), NaN where a person is absent, and the frames' times."""
-    frames, rows = np.unique(data["frame"][is_here], return_inverse=True)
-    people, columns = np.unique(data["person_id"][is_here], return_inverse=True)
-    keypoints = np.full((len(frames), len(people), 14, 2), np.nan)
-    keypoints[rows, columns] = data["op14_px"][is_here]
-    times = np.zeros(len(frames))
-    times[rows] = data["time_s"][is_here]
-    return keypoints, times
 
 
 def _image(keypoints: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple[int, int]]:

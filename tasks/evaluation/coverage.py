@@ -33,7 +33,7 @@ from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.draw_sets import GROWN, DrawSet, baselines_of, draw_manifests, is_chain, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
-from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
+from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
 from tasks.kept import kept
 from tasks.stage import Parameters, Shard, StageInputs
@@ -41,9 +41,12 @@ from tasks.streams import stream
 from tasks.takes import takes_of
 
 SPLITS = ("annotated", "unannotated", "held_out")
-_MEASURES = {"D_I": ("interaction_m", "m"), "D_C": ("cartesian_m", "m"), "D_S": ("shape", "")}
-"""Measures of coverage: where a curve has them, and their unit."""
-_MEASURE_WORDS = {"D_I": "by interaction", "D_C": "joint by joint", "D_S": "by shape"}
+_MEASURES = {
+    "D_I": ("interaction_m", "m", "by interaction"),
+    "D_C": ("cartesian_m", "m", "joint by joint"),
+    "D_S": ("shape", "", "by shape"),
+}
+"""Measures of coverage: their field in a curve, their unit, and their words."""
 _REAL = "real_frames"
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
 """Sizes of the sets of real frames (the counts of the published scale)."""
@@ -137,13 +140,12 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownCoverage]:
         else []
     )
     takes = {name: pairs for name, pairs in known.takes.items() if name not in learned}
-    truth, others, places = _split(takes, _annotated_frames(store, shard), known.held_out, split)
+    truth, others = _split(takes, _annotated_frames(store, shard), known.held_out, split)
     words = split.replace("_", "-")
     if not len(truth) or not len(others):
         return TopicResult(notes=[*notes, f"Coverage of {words} frames is not measured: there are no such frames."])
     generator = stream(shard.seed, TOPIC.name, split)
-    chosen = generator.permutation(len(truth))[: options.num_truth_pairs]
-    truth, places = truth[chosen], [places[at] for at in chosen]
+    truth = truth[generator.permutation(len(truth))[: options.num_truth_pairs]]
     draws, parts, dots, baselines = _ready_draws(store, draw_refs)
     compared = {name: pairs[generator.permutation(len(pairs))[:_MAX_DRAWS]] for name, pairs in draws.items()}
     curves = {name: curve_of_parts(truth, parts.get(name) or _parts(pairs)) for name, pairs in draws.items()}
@@ -188,11 +190,6 @@ def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
     yield Picture(f"coverage-map-{shown.split}.svg", caption, map_figure(plane.places, panels, seed=seed, title=title))
 
 
-def _tabulate(scores: ScoresOf) -> list[TextTable]:
-    """Compare methods of exploration at a glance."""
-    return exploration_table(scores.get("coverage", ()), scores.get("chains", ()))
-
-
 @kept()
 def _ready_draws(
     store: Store, refs: tuple[ArtifactRef, ...]
@@ -232,19 +229,17 @@ def _annotated_frames(store: Store, shard: Shard) -> set[tuple[str, int]]:
 
 def _split(
     takes: Mapping[str, Array], annotated: set[tuple[str, int]], held_out: frozenset[str], split: str
-) -> tuple[Array, Array, list[tuple[str, int]]]:
-    """Return the part's real pairs, other real pairs of takes that are not held out, take and frame of the first."""
+) -> tuple[Array, Array]:
+    """Return the real pairs of the part, and the other real pairs of takes that are not held out."""
     wanted, others = [np.zeros((0, 2, 17, 3))], [np.zeros((0, 2, 17, 3))]
-    places: list[tuple[str, int]] = []
     for take_id, pairs in takes.items():
         is_annotated = np.array([(take_id, frame) in annotated for frame in range(len(pairs))], dtype=bool)
         is_held_out = np.full(len(pairs), take_id in held_out)
         part = {"annotated": is_annotated & ~is_held_out, "unannotated": ~is_annotated & ~is_held_out}
         is_chosen = part.get(split, is_held_out)
         wanted.append(pairs[is_chosen])
-        places += [(take_id, int(frame)) for frame in np.flatnonzero(is_chosen)]
         others.append(pairs[~is_chosen & ~is_held_out])
-    return np.concatenate(wanted), np.concatenate(others), places
+    return np.concatenate(wanted), np.concatenate(others)
 
 
 def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[str, DrawSet]:
@@ -288,7 +283,7 @@ def coverage_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
     """Return the curves and their ends as scores, and those of real frames."""
     scores = []
     for method, curve in {**curves, _REAL: levels}.items():
-        for measure, (name, unit) in _MEASURES.items():
+        for measure, (name, unit, _) in _MEASURES.items():
             values = getattr(curve, name).tolist()
             points = zip([*curve.num_draws.tolist(), math.nan], [*values, values[-1]], strict=True)
             count = len(levels.min_cartesian_m)
@@ -322,12 +317,12 @@ def coverage_figure(
 ) -> bytes:
     """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, fig. 9), beside real frames."""
     panels, at = [], {method: one.num_draws.astype(np.float64) for method, one in curves.items()}
-    for measure, (name, unit) in _MEASURES.items():
+    for name, unit, words_of_measure in _MEASURES.values():
         factor, end = (100.0, " (cm)") if unit == "m" else (1.0, "")
         real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
         lines = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
         levels_of = {f"{count} real": float(value) for count, value in real}
-        panels.append(CurvePanel(f"to the nearest draw, {_MEASURE_WORDS[measure]}{end}", lines, baselines, levels_of))
+        panels.append(CurvePanel(f"to the nearest draw, {words_of_measure}{end}", lines, baselines, levels_of))
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
 
 
@@ -399,6 +394,6 @@ TOPIC = Topic(
     plan=_plan,
     compute=_compute,
     draw=_draw,
-    tabulate=_tabulate,
+    tabulate=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
     settings=CoverageSettings,
 )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation import Source
-from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval, mean_distance
+from pasdedeux.evaluation.distributions import distances, halves, kernel_interval, mean_distance
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
@@ -21,13 +21,13 @@ from pasdedeux.plain_text import counted
 from pasdedeux.spread import some_of
 from storage_schema import Manifest, Store
 from tasks.evaluation.augmentation import contact_drifts, variant_player
-from tasks.evaluation.realism import LearnedSettings, train_on_real
+from tasks.evaluation.realism import LearnedSettings, distance_scores, train_on_real
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
-from tasks.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.facts import ModelFacts, VariantFacts
 from tasks.stage import Shard, StageInputs
 from tasks.streams import stream
 from tasks.takes import takes_of
-from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.items import StoredVariants, interactions_of
 
 if TYPE_CHECKING:
     from pasdedeux.learning.networks.clip_classifier import ClipClassifier
@@ -108,13 +108,12 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
         classifier, said = train_on_real(shard, store, takes, settings.classifier)
         notes += said
         if classifier is not None:
-            kinds = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
             real = {
                 take_id: clips_of(take.source.positions_m, take.source.rate_hz)
                 for take_id, take in variants.takes.items()
             }
             generator = stream(shard.seed, "evaluation", "generation", facts.model, facts.split)
-            scores += distribution_scores(classifier, real, kinds, clips, generator, **more)
+            scores += distribution_scores(classifier, real, interactions_of(takes), clips, generator, **more)
     return TopicResult(scores, notes, {"": Items.joined(parts)}, (_PLAIN, _STRANGERS), shown)
 
 
@@ -189,10 +188,8 @@ def distribution_scores(
         figures = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         if len(features) > 1:
             figures["multimodality"] = float(np.mean([mean_distance(one) for one in np.stack(features, axis=1)]))
-        more: dict[str, Any] = {"split": split, "count": len(first)}
-        low, high = KID_FACTOR * np.mean([kernel_interval(reference, of_set, *units) for of_set in features], axis=0)
-        scores.append(Score("KID", method, figures.pop("KID"), low=float(low), high=float(high), **more))
-        scores += scores_of(figures, method, **more)
+        low, high = np.mean([kernel_interval(reference, of_set, *units) for of_set in features], axis=0)
+        scores += distance_scores(figures, (float(low), float(high)), method, split=split, count=len(first))
     return scores
 
 

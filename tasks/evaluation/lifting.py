@@ -15,9 +15,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.errors import completion_errors, in_between_errors, lifted_errors
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
-from pasdedeux.evaluation.pictures import (
-    Picture,
-)
+from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
@@ -38,6 +36,7 @@ from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.lifting_pictures import expected_figure, lifted_player, rows_figure
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
 from tasks.facts import LiftedFacts, SequenceFacts
+from tasks.lifted_rows import EXPECTED
 from tasks.products import BASELINES
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
@@ -53,7 +52,6 @@ _NUM_EXAMPLES = 6
 _NUM_NEAREST, _NUM_NEAREST_SHOWN = 3, 5
 """Annotations and draws most like a lifted pair, and how many pairs are shown with them."""
 _NUM_HYPOTHESES = 4
-_EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 _MAX_KNOWN = 600
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown pairs are all used."""
@@ -199,7 +197,7 @@ def _read_lifted(store: Store, ref: ArtifactRef, truth: GroundTruth) -> list[_Li
     for name in ("lifted_pairs", "in_betweens"):
         if name not in manifest.tables:
             continue
-        also = _EXPECTED if name == "lifted_pairs" else ()
+        also = EXPECTED if name == "lifted_pairs" else ()
         table = store.read(ref, name, columns=[*PLACE_COLUMNS, "method", "pair17_m", *also])
         for row in range(table.num_rows):
             place = place_of(table, row)
@@ -261,7 +259,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     pairs: dict[PairPlace, tuple[Array, list[float]]] = {}
     scores: list[Score] = []
     for ref in shard.refs("lifted"):
-        table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "pair17_m", *_EXPECTED])
+        table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "pair17_m", *EXPECTED])
         errors: list[float] = []
         for row in range(table.num_rows):
             if (expected := _expected(table, row)) is not None:
@@ -279,7 +277,7 @@ def _nearest(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
 
 def _expected(table: TableData, row: int) -> list[float] | None:
     """Return the expected error and the ends of its interval, metres; None of a method that has none."""
-    expected = [float(table[name][row]) for name in _EXPECTED]
+    expected = [float(table[name][row]) for name in EXPECTED]
     return None if math.isnan(expected[0]) else expected
 
 

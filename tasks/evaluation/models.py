@@ -31,7 +31,7 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
-from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.items import StoredVariants, interactions_of
 from tasks.training.run import load_stored
 
 _DRAWS = 10
@@ -129,9 +129,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     scores = scores_of_rows("all", range(len(tested)))
     scores += share_scores(distances, rivals=rivals, split=split, takes=takes)
     scores += fall_scores({ModelFacts.of(one).model: store.read(one.ref, "training_log") for one in stored}, split)
-    interactions = {
-        TakeFacts.of(take).take_id: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))
-    }
+    interactions = interactions_of(map(store.manifest, shard.refs("takes")))
     for motion in sorted({interactions[key.take_id] for key in tested}):
         motion_rows = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
         scores += scores_of_rows(motion, motion_rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,7 +25,7 @@ from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
 from tasks.takes import read_take, takes_of
-from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.items import StoredVariants, interaction_of, interactions_of
 from tasks.training.run import load_stored, refuse_without_torch
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     if classifier is None:
         return TopicResult(notes=notes)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
-    kinds = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
+    kinds = interactions_of(takes)
     splits: dict[str, list[Manifest]] = {}
     for ref in shard.refs("models"):
         manifest = store.manifest(ref)
@@ -169,13 +169,8 @@ def _compare(
     for name, found in clips.items():
         made, units = _features(classifier, [found[at] for at in first])
         if second and min(len(real), len(made)) > 1:
-            figures = distances(real, made)
-            low, high = kernel_interval(real, made, real_units, units)
-            kid = figures.pop("KID")
-            scores.append(
-                Score("KID", name, kid, count=len(made), low=KID_FACTOR * low, high=KID_FACTOR * high, **more)
-            )
-            scores += scores_of(figures, name, count=len(made), **more)
+            interval = kernel_interval(real, made, real_units, units)
+            scores += distance_scores(distances(real, made), interval, name, count=len(made), **more)
         by_kind: dict[str, list[np.ndarray]] = {}
         for one in found:
             if one.kind in classifier.labels:
@@ -185,6 +180,13 @@ def _compare(
             count = sum(len(one) for some in by_kind.values() for one in some)
             scores.append(Score("recognised", name, share, "%", count=count, **more))
     return scores
+
+
+def distance_scores(figures: Mapping[str, float], kernel: tuple[float, float], method: str, **more: Any) -> list[Score]:
+    """Return distances by name as scores of a method, the kernel distance first, with the ends of its interval."""
+    low, high = (KID_FACTOR * end for end in kernel)
+    first, *others = scores_of({"KID": figures["KID"], **figures}, method, **more)
+    return [replace(first, low=low, high=high), *others]
 
 
 def _features(classifier: ClipClassifier, clip_sets: Sequence[_Clips]) -> tuple[np.ndarray, list[str]]:

@@ -23,7 +23,7 @@ from pasdedeux.spread import evenly_spread
 from storage_schema import Store
 from tasks.draw_sets import GROWN, baselines_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
-from tasks.evaluation.topic import ScoresOf, Topic, TopicResult, refuse_learned
+from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
 from tasks.facts import TakeFacts
 from tasks.priors import read_limits
 from tasks.selection import READS, select_pairs
@@ -38,23 +38,16 @@ _LARGEST = 10 * SIZE
 _REAL, _SELECTED = "real_frames", "selected_pairs"
 _NUM_TRUTH, _NUM_REAL, _NUM_MEMBERS = 300, 1500, 300
 """Held-out pairs that are covered, real frames that members are compared with, and members compared, at most."""
-_UNITS = {
-    "set_coverage_D_C": "m",
-    "set_precision_D_C": "m",
-    "set_implausible": "%",
-    "set_penetration": "m",
-    "set_near_duplicates": "%",
-    "set_nearest_other_D_C": "m",
+_METRICS = {
+    "set_coverage_D_C": ("m", "held-out pair to the set"),
+    "set_coverage_lead": ("m", "gain over grown pairs"),
+    "set_precision_D_C": ("m", "pair to real frames"),
+    "set_implausible": ("%", "implausible"),
+    "set_penetration": ("m", "penetration"),
+    "set_near_duplicates": ("%", "near duplicates"),
+    "set_nearest_other_D_C": ("m", "nearest other"),
 }
-_HEADINGS = {
-    "set_coverage_D_C": "held-out pair to the set",
-    "set_coverage_lead": "gain over grown pairs",
-    "set_precision_D_C": "pair to real frames",
-    "set_implausible": "implausible",
-    "set_penetration": "penetration",
-    "set_near_duplicates": "near duplicates",
-    "set_nearest_other_D_C": "nearest other",
-}
+"""Unit and heading of each metric, in the order of the columns."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -100,7 +93,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             covered, figures = judge_set(mixed[:count], truth, references, limits)
             nearest.setdefault(name, covered)
             scores += [
-                Score(metric, name, value, _UNITS[metric], split="held_out", at=float(count), count=count)
+                Score(metric, name, value, _METRICS[metric][0], split="held_out", at=float(count), count=count)
                 for metric, value in figures.items()
             ]
     items = Items(nearest, *known.where(places))
@@ -155,15 +148,11 @@ def set_table(scores: Sequence[Score]) -> list[TextTable]:
             f"Can these pairs be used as a set? Sets of equal size first, then up to {_LARGEST:,} pairs",
             ("set", "pairs"),
             lambda score: (in_words(score.method), f"{score.at:,.0f}"),
-            _HEADINGS,
+            {metric: heading for metric, (_, heading) in _METRICS.items()},
             lambda score: score.metric,
             lambda found: format_score(found[0]),
         )
     ]
-
-
-def _tabulate(scores: ScoresOf) -> list[TextTable]:
-    return set_table(scores.get(TOPIC.name, ()))
 
 
 TOPIC = Topic(
@@ -174,7 +163,7 @@ TOPIC = Topic(
     reads=(*READS, "poses"),
     plan=_plan,
     compute=_compute,
-    tabulate=_tabulate,
+    tabulate=lambda scores: set_table(scores.get("sets", ())),
     criteria=(
         Criterion("set_coverage_D_C", "distance from held-out pairs to a set of equal size", "m", "held-out pairs"),
     ),

@@ -22,7 +22,7 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.annotated_pairs import PairPlace, PlacedPairs, gather, read_people
+from tasks.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, read_people
 from tasks.committing import commit, followed
 from tasks.facts import SeedFacts, SequenceFacts, TakeFacts, merge_takes
 from tasks.over_time import couples_of, lift_couple
@@ -134,12 +134,7 @@ def _annotated(shard: Shard, store: Store) -> PlacedPairs:
 
 def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
     """Return the columns that say which annotations these entries are."""
-    places = [placed.places[index] for index in placed.gathered.pairs.annotation_index[entries].tolist()]
-    return {
-        "sequence_id": [place.sequence_id for place in places],
-        "sequence_frame": [place.frame for place in places],
-        "sequence_person_id": [place.person_id for place in places],
-    }
+    return annotation_columns([placed.places[at] for at in placed.gathered.pairs.annotation_index[entries].tolist()])
 
 
 def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
@@ -160,15 +155,12 @@ def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
         num_annotations_skipped=placed.gathered.num_skipped,
         takes=_takes(shard, store),
     )
-    is_short = len(indices) < options.num_lifted
-    verdict = Verdict(
-        Level.WARN if is_short else Level.PASS,
-        "near the other annotations chosen no pair keeps the joint limits" if is_short else "",
-        figure="seeds lifted of those asked for",
-        value=100.0 * len(indices) / options.num_lifted,
-        unit="%",
-        count=options.num_lifted,
+    verdict = _share_verdict(
+        len(indices),
+        options.num_lifted,
+        "seeds lifted of those asked for",
         thing="seeds",
+        warning="near the other annotations chosen no pair keeps the joint limits",
     )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
@@ -202,22 +194,18 @@ def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> Artif
         options.first_index + np.arange(len(kept)),
         pairs_m[kept],
         quality.log_prior[kept],
-        sequence_id=[places[at].sequence_id for at in kept],
-        sequence_frame=[places[at].frame for at in kept],
-        sequence_person_id=[places[at].person_id for at in kept],
+        **annotation_columns([places[at] for at in kept]),
     )
     facts = SeedFacts(
         kind="grown_seeds", num_grown=len(kept), num_left=len(wanted) - len(kept), takes=_takes(shard, store)
     )
-    is_good = len(kept) >= MIN_GROWN_SHARE * len(wanted)
-    verdict = Verdict(
-        Level.PASS if is_good else Level.WARN,
-        "" if is_good else "the frames of the video could not be lifted together, or do not keep the joint limits",
-        figure="frames lifted over time",
-        value=100.0 * len(kept) / max(len(wanted), 1),
-        unit="%",
-        count=len(wanted),
+    verdict = _share_verdict(
+        len(kept),
+        len(wanted),
+        "frames lifted over time",
         thing="frames",
+        warning="the frames of the video could not be lifted together, or do not keep the joint limits",
+        min_share=MIN_GROWN_SHARE,
     )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
@@ -290,17 +278,23 @@ def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
         num_refused=filling.num_refused,
         takes=merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
     )
-    is_short = count < options.num_filled
-    verdict = Verdict(
-        Level.WARN if is_short else Level.PASS,
-        "most means of grown pairs are not plausible, or like a pair that is there" if is_short else "",
-        figure="pairs filled in of those asked for",
-        value=100.0 * count / options.num_filled,
-        unit="%",
-        count=options.num_filled,
+    verdict = _share_verdict(
+        count,
+        options.num_filled,
+        "pairs filled in of those asked for",
         thing="pairs",
+        warning="most means of grown pairs are not plausible, or like a pair that is there",
     )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
+
+
+def _share_verdict(
+    count: int, wanted: int, figure: str, *, thing: str, warning: str, min_share: float = 1.0
+) -> Verdict:
+    """Return the share made of what was wanted, with the warning where it is below the smallest good share."""
+    is_good = count >= min_share * wanted
+    level, reason = (Level.PASS, "") if is_good else (Level.WARN, warning)
+    return Verdict(level, reason, figure, 100.0 * count / max(wanted, 1), "%", count=wanted, thing=thing)
 
 
 def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:

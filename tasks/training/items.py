@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,11 @@ from tasks.takes import TakeMotion, read_take, read_variants
 def interaction_of(take: Manifest) -> str:
     """Return the interaction that a take performs: the built-in duet that it was made from, or itself."""
     return str(take.parameters.get("duet", {}).get("name", "") or TakeFacts.of(take).take_id)
+
+
+def interactions_of(takes: Iterable[Manifest]) -> dict[str, str]:
+    """Return the interaction of each take by the take's name."""
+    return {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
 
 
 @dataclass(frozen=True)

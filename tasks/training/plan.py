@@ -14,7 +14,7 @@ from tasks.curation import rejections
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import Shard, StageInputs, StageName
 from tasks.streams import stream
-from tasks.training.items import interaction_of
+from tasks.training.items import interactions_of
 from tasks.training.parameters import TrainingParameters, TrainingSegmentParameters
 
 TRAINING = StageName("training", 14)
@@ -111,7 +111,7 @@ def split_variants(
     Raises:
         InputError: The training or the test set is empty.
     """
-    interactions = {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
+    interactions = interactions_of(takes)
     keys: list[VariantKey] = []
     held_out: set[str] = set()
     for manifest in variants:

@@ -17,6 +17,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from benchmarks import moving_picture
 from flows.exports import export_reference
 from pasdedeux.augmentation import UserContact
 from pasdedeux.data import Data, PairDataset
@@ -24,12 +25,11 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.motion_players import MAX_LINKS, links_of
 from pasdedeux.skeletons import BODY22
 from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, open_table, record_latest
-from tasks import augmentation, moving_picture
+from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
 from tasks.contacts import find_contact_rows
 from tasks.data import Clip
 from tasks.facts import TakeFacts
-from tasks.moving_picture import picture_of
 from tasks.stage import StageInputs
 from tests.builders.ingest_runs import planned, run
 from tests.builders.pages import Page, in_browser
@@ -225,8 +225,8 @@ def test_the_moving_picture_is_small_whole_and_always_the_same(store: Store) -> 
     variant = Data(store).variants("toy")[0]
     assert variant.source is not None
     clips = {"source": variant.source, "person A at 0.8 of the size": variant}
-    drawn = picture_of(clips)
-    assert drawn == picture_of(clips)
+    drawn = moving_picture.picture_of(clips)
+    assert drawn == moving_picture.picture_of(clips)
     image = Image.open(io.BytesIO(drawn))
     assert (image.format, image.width, image.n_frames) == ("WEBP", 720, 30)  # type: ignore[attr-defined]
     pixels = np.asarray(image.convert("RGB")).astype(int)

@@ -1,20 +1,27 @@
-"""People in motion as a small animated image (WebP): bodies on one floor, contacts marked."""
+"""Draw the moving picture of the README, an animated WebP of a take and two variants; not a benchmark.
+
+`python -m benchmarks.moving_picture` after `make demo`.
+"""
 
 from __future__ import annotations
 
+import argparse
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.bodies import Body, body_of, standing_rest_m
 from pasdedeux.bodies.drawing import draw_faces
-from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS, rgb
+from pasdedeux.evaluation.motion_players import links_of
+from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS, rgb, shown_frames
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
+from tasks.data import Clip, Data
 
 _PITCH_RAD = 0.18
 _FINER = 2
@@ -22,6 +29,40 @@ _FINER = 2
 _TITLE_PX, _BOTTOM_PX, _GAP_M = 34, 12, 0.35
 _PAPER, _FLOOR, _INK = (252, 252, 251), (195, 202, 211), (28, 36, 48)
 _QUALITY = 40
+_MAX_FRAMES = 45
+"""Frames of the picture, at most: more of them than a page should load first."""
+
+
+def picture_of(clips: dict[str, Clip]) -> bytes:
+    """Return clips by title, side by side on one floor, contacts marked, some seconds from the middle."""
+    first = next(iter(clips.values()))
+    frames, rate_hz = shown_frames(len(first.positions_m), first.rate_hz)
+    frames = frames[:_MAX_FRAMES]
+    groups = [
+        MovingPeople(title, clip.positions_m[frames], links_of(clip._contacts, clip.positions_m)[frames])
+        for title, clip in clips.items()
+    ]
+    return moving_picture(groups, rate_hz=rate_hz)
+
+
+def main() -> None:
+    """Draw the picture from what `make demo` builds, or from another study, partition and variants."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--store", default="store")
+    parser.add_argument("--take", default="duets/waltz", help="study/partition of the variants")
+    parser.add_argument("--variants", nargs="+", default=["A-uniform-0.75", "A-uniform-1.25"])
+    parser.add_argument("--out", type=Path, default=Path("docs/variants.webp"))
+    arguments = parser.parse_args()
+    there = {variant.name.rpartition(", ")[2]: variant for variant in Data(arguments.store).variants(arguments.take)}
+    chosen = {name: there[name] for name in arguments.variants}
+    (source,) = {clip.source.name: clip.source for clip in chosen.values() if clip.source is not None}.values()
+    arguments.out.write_bytes(picture_of({"source": source, **{_title(name): clip for name, clip in chosen.items()}}))
+
+
+def _title(variant_id: str) -> str:
+    """Say what a variant is: `person A at 0.75`."""
+    who, _, scale = variant_id.split("-")
+    return f"person {who} at {scale} of the size"
 
 
 @dataclass(frozen=True)
@@ -112,3 +153,7 @@ def _font_path() -> str:
     from matplotlib import font_manager
 
     return font_manager.findfont("DejaVu Sans")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""Opens a dataset's folder with each reader that it is made for; none of them is this program.
+"""Open a dataset's folder with readers that are not part of this program.
 
 pip install datasets mlcroissant polars pandas pyarrow duckdb
 python open_dataset.py FOLDER

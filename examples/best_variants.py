@@ -1,8 +1,8 @@
-"""Choose the variants of a study whose contacts moved least, and write a list of choices that keeps these alone.
+"""Keep the variants of a study with the smallest contact drift: write a list of choices that rejects the others.
 
     python examples/best_variants.py duets --store store --share 0.5 --out curation.txt
 
-`pasdedeux export variants:STUDY --curation curation.txt` and `Data(store, "curation.txt")` obey the list.
+`pasdedeux export variants:STUDY --curation curation.txt` and `Data(store, "curation.txt")` apply the list.
 """
 
 from __future__ import annotations

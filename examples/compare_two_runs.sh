@@ -1,5 +1,5 @@
 #!/bin/sh
-# Change one key of a study, build it again (only what depends on the key is computed), and list what differs.
+# Change one key of a study, build it again (only its dependents are computed), and list the differences.
 #   sh examples/compare_two_runs.sh flows/studies/duets.toml store
 set -e
 study=${1:-flows/studies/duets.toml} store=${2:-store}

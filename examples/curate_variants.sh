@@ -1,5 +1,5 @@
 #!/bin/sh
-# Reject a variant by hand, with the reason; exports, training and published datasets leave it out from then on.
+# Reject a variant by hand, with a reason; exports, training and published datasets then leave it out.
 #   sh examples/curate_variants.sh duets store
 set -e
 study=${1:-duets} store=${2:-store}

@@ -1,4 +1,4 @@
-"""Sample pairs by a density of your own: the right hands of the two shall meet.
+"""Sample pairs from a density of your own: the right hands of two people meet.
 
 python examples/custom_density.py
 

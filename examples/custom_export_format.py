@@ -1,8 +1,8 @@
-"""Write takes or variants in a format of your own: a JSON file each, with named joints, licence and credits beside it.
+"""Write takes or variants in a format of your own: a JSON file each with named joints, beside licence and credits.
 
 python examples/custom_export_format.py poses:duets --store store --out joints
 
-To have `pasdedeux export` know the format, register it as described in docs/extending.md.
+To add the format to `pasdedeux export`, register it as described in docs/extending.md.
 """
 
 import argparse

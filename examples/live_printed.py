@@ -1,8 +1,8 @@
-"""Reconstruct two walkers from 2D keypoints as frames arrive, and print each pose when it is due.
+"""Reconstruct two dancers from 2D keypoints as frames arrive, and print each pose when it is ready.
 
 python examples/live_printed.py
 
-`pasdedeux reconstruct --live` does this with lines of JSON from a detector.
+`pasdedeux reconstruct --follow` does this with the files of a detector.
 """
 
 import numpy as np

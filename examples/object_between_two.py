@@ -1,4 +1,4 @@
-"""Keep hands on an object: two people hold a stick, one grows, and the stick moves as it was captured.
+"""Keep hands on an object: two people hold a stick, one is scaled, and the stick moves as captured.
 
 python examples/object_between_two.py
 """

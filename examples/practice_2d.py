@@ -1,8 +1,8 @@
-"""Write 2D poses to practise on: a built-in duet as one camera sees it.
+"""Write 2D poses of a built-in duet from one camera, for practice.
 
     python examples/practice_2d.py --duet hug --out hug.csv
 
-The file is CSV as `pasdedeux study new` and `reconstruct` read it; noise makes it like what a detector finds.
+The file is CSV as `pasdedeux study new` and `reconstruct` read it; noise imitates a detector.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Render a film to practise on: a built-in duet, and key frames as a person would annotate them.
+"""Render a film of a built-in duet, and write annotated key frames, for practice.
 
     python examples/practice_film.py --duet waltz --out dance.mp4
 
-Beside the film lies `dance_keys.csv`: every 15th frame, with two pixels of noise.
+`dance_keys.csv` beside the film has every 15th frame, with two pixels of noise.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Give a hug to a child: one dancer at 0.6 of the size, contacts kept, beside what plain kinematics makes of it.
+"""Retarget a hug to a child: one person at 0.6 and 0.8 of the size, contacts kept, compared with plain kinematics.
 
 python examples/retarget_hug_to_child.py
 """

@@ -1,4 +1,4 @@
-"""Rescale one of three people: the mesh spans everybody, so the contacts of the other two hold as well.
+"""Rescale one of three people: the mesh spans all of them, so all contacts are kept.
 
 python examples/three_people.py
 """

@@ -1,8 +1,8 @@
-"""Train a small network that predicts a variant from its source and the scales of its bones: a start for your own.
+"""Train a small network that predicts a variant from its source and the scales of its bones.
 
     python examples/train_on_windows.py variants:duets --store store --steps 500
 
-It prints the mean error of joints in centimetres, beside that of taking the source for the variant.
+It prints the mean error of joints in centimetres, and that of the unchanged source.
 """
 
 from __future__ import annotations

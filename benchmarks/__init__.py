@@ -1,5 +1,6 @@
 """Benchmarks and measurement scripts; part of a checkout, not of an installation.
 
-`pasdedeux bench` runs what `registry` lists.  `families` and `film_figures` print the figures of docs/findings.md;
-`film_check` and `blender_check` run other programs and need environments of their own.
+`pasdedeux bench` runs the benchmarks of `registry`.  `families`, `film_figures`, `camera_figures` and `check_faults`
+print figures of the documentation; `film_check` and `blender_check` run other programs and need environments of their
+own.
 """

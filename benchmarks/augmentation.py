@@ -1,4 +1,4 @@
-"""The bulk solver of augmentation beside guaranteed descent."""
+"""The bulk solver of augmentation, compared with guaranteed descent."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FRAMES = 120
 _VARIANTS = 64
 _RATE_HZ = 30.0
 _COMPARED = (0, 31, 63)
-"""Variants of the batch that descent goes on with, which tells how far they are from the optimum."""
+"""Variants of the batch that descent continues, to measure their distance from the optimum."""
 
 
 def _scales(count: int) -> Array:
@@ -31,7 +31,7 @@ def _scales(count: int) -> Array:
 
 
 def _bulk() -> BenchmarkResult:
-    """Frames and variants a second of a batch in the bulk solver, without mesh and factor, beside descent."""
+    """Measure frames and variants per second of the bulk solver, without mesh and factor, and of descent."""
     duet = make_duet("waltz", duration_s=_FRAMES / _RATE_HZ, rate_hz=_RATE_HZ)
     problem = build_problem(Source(duet.positions_m(), _RATE_HZ, "waltz"))
     solver = BulkSolver(problem)

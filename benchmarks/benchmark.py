@@ -1,4 +1,4 @@
-"""What a benchmark reports: work per second of the fast form and of its plain baseline, measured in the same run.
+"""The result of a benchmark: work per second of the fast form and of its plain baseline, measured in the same run.
 
 A module offers benchmarks as `BENCHMARKS: dict[str, Callable[[], BenchmarkResult]]`, each of the form
 `BenchmarkResult(name, unit, *measure(fast form), *measure(plain form), note)`.
@@ -20,11 +20,11 @@ _MIN_S = 0.3
 
 @dataclass(frozen=True)
 class BenchmarkResult:
-    """Throughput of a fast form beside its plain one.
+    """Throughput of a fast form and of its plain baseline.
 
     Args:
-        name: What was measured.
-        unit: What is counted: `pose pairs`, `frames`, `likelihoods`.
+        name: Name of the benchmark.
+        unit: Unit of the work: `pose pairs`, `frames`, `likelihoods`.
         fast_name: The form that ships.
         fast_per_s: Its work per second.
         plain_name: The baseline.
@@ -42,24 +42,24 @@ class BenchmarkResult:
 
     @property
     def ratio(self) -> float:
-        """How many times faster the fast form is."""
+        """Return the speed of the fast form relative to the plain one."""
         return self.fast_per_s / self.plain_per_s
 
 
 class Rate(NamedTuple):
-    """A form of the work and how much of it is done per second."""
+    """A form of the work, and its rate per second."""
 
     name: str
     per_s: float
 
 
 def measure(name: str, work: Callable[[], object], *, count: int = 1, repeats: int = 3) -> Rate:
-    """Return the work done per second of processor time, the best of some repeats of 0.3 s or more.
+    """Return the rate of the work per second of processor time, the best of several repeats of 0.3 s or more.
 
-    The first call, which may compile, is not timed.  Time that the process waited for a busy machine does not count.
+    The first call, which may compile, is not timed.  Waiting for a busy machine does not count.
 
     Args:
-        name: The form that does it.
+        name: Name of the form.
         work: Does `count` pieces of work per call.
         count: Pieces of work in a call.
         repeats: Repeats, of which the best counts: what else the machine does only slows work down.
@@ -78,6 +78,6 @@ def measure(name: str, work: Callable[[], object], *, count: int = 1, repeats: i
 
 
 def in_turn(work: Callable[[T], object], inputs: Iterable[T], *, count: int = 1) -> Callable[[], object]:
-    """Return a function that does the work on the next `count` of the inputs, again from the first after the last."""
+    """Return a function that does the work on the next `count` inputs, in a cycle."""
     turns = itertools.cycle(inputs)
     return lambda: [work(next(turns)) for _ in range(count)]

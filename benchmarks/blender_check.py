@@ -1,4 +1,4 @@
-"""Loads BVH files that were written with an npz each, and GLB files - by `export`, `retarget` - into Blender itself.
+"""Load BVH files with their npz, and GLB files, of `export` and `retarget`, into Blender and check them.
 
 Run by hand, `make blender FILES=out`, never by pytest.
 
@@ -58,7 +58,7 @@ def load(path: Path, metres_per_unit: float) -> tuple[bpy.types.Object, str]:
 
 
 def check(path: Path) -> None:
-    """Check one file beside its npz; an AssertionError says what is wrong."""
+    """Check one file against its npz; an AssertionError names the difference."""
     made = dict(np.load(path.with_suffix(".npz")))
     names, parents, truth = made["joint_names"].tolist(), made["parents"].tolist(), made["positions_m"]
     if "bvh_metres_per_unit" in made:
@@ -101,7 +101,7 @@ def check(path: Path) -> None:
 
 
 def check_glb(path: Path) -> None:
-    """Check that every joint of every frame of a GLB is where its nodes say, and that each person has a skin."""
+    """Check that every joint of every frame of a GLB is at its node, and that each person has a skin."""
     data = path.read_bytes()
     size = int.from_bytes(data[12:16], "little")
     tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
@@ -154,7 +154,7 @@ def check_glb(path: Path) -> None:
 
 
 def run_lines_of_docs(path: Path) -> None:
-    """Convert a GLB by the very lines that the docs print."""
+    """Convert a GLB by the script of the docs."""
     page = (Path(__file__).parents[1] / "docs" / "formats-and-units.md").read_text(encoding="utf-8")
     (lines,) = [text.partition("```")[0] for text in page.split("```python\n")[1:] if "import bpy" in text]
     assert lines.count('"waltz.glb"') == 1
@@ -163,7 +163,7 @@ def run_lines_of_docs(path: Path) -> None:
 
 
 def check_converted(path: Path, rate_hz: float, places: list[dict[str, np.ndarray]], num_people: int) -> None:
-    """Check that a converted file has the rate, and every joint of every frame where the GLB has it."""
+    """Check that a converted file has the rate of the GLB, and the same joints in every frame."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     with quiet():
@@ -210,7 +210,7 @@ def nodes_at(tree: dict, tracks: dict, frame: int, root: int) -> dict[int, np.nd
 
 
 def check_t_pose(rest: dict[str, np.ndarray]) -> None:
-    """Check that somebody stands upright, faces +Z and has the arms out along X."""
+    """Check that a person stands upright, faces +Z and has the arms out along X."""
     assert rest["head" if "head" in rest else "neck"][1] > rest["spine2"][1] > rest["left_knee"][1]
     for side, sign in (("left", 1.0), ("right", -1.0)):
         assert rest[f"{side}_hip"][1] > rest[f"{side}_knee"][1] > rest[f"{side}_ankle"][1]

@@ -1,4 +1,4 @@
-"""Measures errors of poses and places before a camera that moves, and before one, two and three cameras; not a test.
+"""Measure errors of poses and places with a moving camera, and with one, two and three cameras; not a test.
 
 `python -m benchmarks.camera_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
 """
@@ -38,9 +38,9 @@ from tests.builders.rendered_film import Film, hand_held, moved, render, rows_of
 
 NUM_FRAMES, _KEYS_EVERY = 90, 10
 _KNOWN_TAKES = ("01", "03", "06", "10")
-"""Takes of the database; none of those that are filmed."""
+"""Takes of the database, without the filmed ones."""
 CLIPS = (("07", 300, 2.0), ("12", 100, -1.0), ("05", 200, 0.5))
-"""Take, first frame, and from where it is filmed."""
+"""Take, first frame, and direction of the camera."""
 CAMERAS = {
     "still": {},
     "shaken by 87 px": {"shake_px": 40.0},
@@ -54,11 +54,11 @@ _VIEWS = {
     "two cameras, 120 degrees": (120.0,),
     "three cameras": (90.0, -100.0),
 }
-"""By how much the others are turned against the first."""
+"""Angles of the other cameras to the first."""
 
 
 def salsa_database(data: Path) -> SearchedDatabase:
-    """Return the database of the takes that are not filmed."""
+    """Return the database, without the filmed takes."""
     known = np.concatenate([salsa_couple(data, take, rate_hz=8.0) for take in _KNOWN_TAKES])
     poses = centre_and_face(retarget_proportions(known.reshape(-1, 14, 3))).poses_m.astype(np.float32)
     is_real = np.ones(len(poses), dtype=bool)

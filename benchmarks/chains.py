@@ -1,4 +1,4 @@
-"""What is measured of chains: `pasdedeux bench chains` shows these beside their plain baselines."""
+"""Benchmarks of chains, compared with plain baselines: `pasdedeux bench chains`."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _samples() -> np.ndarray:
 
 
 def _likelihood() -> BenchmarkResult:
-    """The published likelihood, without prior; none is cut short by a level to reach."""
+    """Measure the published likelihood, without prior and without early termination."""
     likelihood = InteractionLikelihood(*_problem()[1:])
     same = [abs(likelihood.log_likelihood(pair) - likelihood.plain(pair)) < 1e-6 for pair in _samples()[:50]]
     return BenchmarkResult(
@@ -83,7 +83,7 @@ def _plain_density(target: PairDensity, prior: PhysicalPrior, likelihood: Likeli
 
 
 def _density() -> BenchmarkResult:
-    """The density that studies sample: prior and likelihood, every one evaluated to the end."""
+    """Measure the default density of studies: prior and likelihood, without early termination."""
     parts = default_target(standing_pair(), max_invalid_angles=2 * NUM_ANGLES)
     parameters = random_parameters(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
     return BenchmarkResult(
@@ -96,7 +96,7 @@ def _density() -> BenchmarkResult:
 
 
 def _chain() -> BenchmarkResult:
-    """Steps of a chain of the density that studies sample; the plain form has no early end."""
+    """Measure steps of a chain on the default density of studies; the plain form has no early termination."""
     parts = default_target(gauge_fix(_problem()[0][0]), max_invalid_angles=NUM_ANGLES)
     target, chart = parts[0], parts[0].chart
     propose, rng = GaussianBlocks().propose, np.random.default_rng(3)
@@ -115,7 +115,7 @@ def _chain() -> BenchmarkResult:
 
 
 def _triangulation() -> BenchmarkResult:
-    """Planar Delaunay triangulations of 34 joints."""
+    """Measure planar Delaunay triangulations of 34 joints."""
     points = random_pairs(np.random.default_rng(4), 200)[..., :2].reshape(200, 34, 2)
     return BenchmarkResult(
         "triangulation",
@@ -127,7 +127,7 @@ def _triangulation() -> BenchmarkResult:
 
 
 def _coverage() -> BenchmarkResult:
-    """Pairs of a real pair and a draw compared in D_I and D_C."""
+    """Measure comparisons of real pairs and draws in D_I and D_C."""
     real = random_pairs(np.random.default_rng(5), 200)
     draws = random_pairs(np.random.default_rng(6), 100)
     return BenchmarkResult(

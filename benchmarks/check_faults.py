@@ -1,15 +1,15 @@
-"""Does `pasdedeux check` find faults: planted in clips of duets and salsa, by kind, beside the same clips untouched.
+"""Measure how many planted faults `pasdedeux check` finds in clips of duets and salsa, and its false alarms.
 
     python -m benchmarks.check_faults DATA                  200 clips of 5 s, every kind of fault in each
     python -m benchmarks.check_faults DATA --clips 40       fewer
     python -m benchmarks.check_faults DATA --drift 100      contacts that drift, in variants of so many of the clips
 
-DATA is a folder with CMU's salsa, `cmu_salsa_bvh`, as PASDEDEUX_DATA names it.  Half of the clips are of built-in duets
-in drawn styles and bodies, half are windows of salsa.  A family is a dance or a take.  For each kind the table has a
-limit chosen on every second family, half way between untouched and planted clips, and what that limit and the limits
-that are declared find, and of what they accuse untouched clips, in the other families.  A fault is found where a figure
-of its kind is past its first limit.  Clips in which a bone flips as no body can, of which captures have some, are
-faulty before anything is planted: they take no part in the table, and are counted below it.
+DATA is a folder with CMU's salsa, `cmu_salsa_bvh`, the folder of PASDEDEUX_DATA.  Half of the clips are of built-in
+duets in drawn styles and bodies, half are windows of salsa.  A family is a dance or a take.  For each kind the table
+has a limit chosen on every second family, half way between untouched and planted clips.  It has the shares of found
+faults and of false alarms on the other families, by this limit and by the declared limits.  A fault is found if a
+figure of its kind is past its first limit.  Captured clips in which a bone flips faster than a body can are faulty
+before anything is planted: they are left out of the table, and counted below it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Clip:
 
     @property
     def is_faulty(self) -> bool:
-        """Whether a bone turns faster between two frames than a body can: whoever captured it, this is no good clip."""
+        """Return whether a bone turns faster between two frames than a body can, a fault of the capture."""
         parents, children = np.transpose(BODY22.bones)
         bones = self.people_m[:, :, children] - self.people_m[:, :, parents]
         bones /= np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9)
@@ -86,7 +86,7 @@ def tilt_floor(people_m: Array, rate_hz: float, generator: np.random.Generator) 
 
 
 def slide_feet(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
-    """Slide one person to and fro over the floor, at a median speed of 0.4 to 1 m/s."""
+    """Slide one person back and forth over the floor, at a median speed of 0.4 to 1 m/s."""
     speed, heading, period_s = generator.uniform(0.4, 1.0), generator.uniform(0.0, 2.0 * np.pi), 2.0
     phase = 2.0 * np.pi * np.arange(len(people_m)) / rate_hz / period_s
     way = speed * np.sqrt(2.0) * period_s / (2.0 * np.pi) * np.sin(phase)
@@ -96,7 +96,7 @@ def slide_feet(people_m: Array, rate_hz: float, generator: np.random.Generator) 
 
 
 def jump_at_first(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
-    """Put one person elsewhere in the first frame, by 0.3 to 1 m, or make it a pose of another moment at the origin."""
+    """Shift one person in the first frame by 0.3 to 1 m, or replace the pose by one of another moment at the origin."""
     planted, person = people_m.copy(), generator.integers(2)
     if generator.random() < 0.5:
         heading = generator.uniform(0.0, 2.0 * np.pi)
@@ -108,13 +108,13 @@ def jump_at_first(people_m: Array, rate_hz: float, generator: np.random.Generato
 
 
 def swap_people(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
-    """Exchange the two from some moment of the middle on."""
+    """Exchange the two people from a random frame on."""
     start = int(len(people_m) * generator.uniform(0.2, 0.8))
     return np.concatenate([people_m[:start], people_m[start:, ::-1]])
 
 
 def resize(people_m: Array, rate_hz: float, generator: np.random.Generator) -> Array:
-    """Make one person and the way 1.4 to 2.5 times as large or small, as a wrong unit does."""
+    """Scale one person and the path by 1.4 to 2.5 or its inverse, like a wrong unit."""
     planted = people_m.copy()
     planted[:, generator.integers(2)] *= generator.uniform(1.4, 2.5) ** generator.choice([-1, 1])
     return planted
@@ -177,7 +177,7 @@ def _window(family: str, number: int, people_m: Array, rate_hz: float) -> Clip:
 
 
 def drift(people_m: Array, source: Source, generator: np.random.Generator) -> Array:
-    """Turn an arm that touches the partner by 5 to 15 cm at its hand, or shift who touches, for a second or more."""
+    """Turn a touching arm by 5 to 15 cm at its hand, or shift the touching person, for a second or more."""
     contacts = source.contacts()
     frame, place = np.nonzero(contacts.is_held)
     at = generator.integers(len(frame))
@@ -214,7 +214,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
         *("contact_drift_extremity_m", "contact_drift_mixed_m", "contact_drift_body_m"),
     ),
 }
-"""Figures that find each kind; a limit is chosen for the first."""
+"""Figures that can find each kind; a limit is chosen for the first."""
 
 
 AGAINST_LIMITS = QUALITY_LIMITS | limits_of(HELD)
@@ -222,7 +222,7 @@ AGAINST_LIMITS = QUALITY_LIMITS | limits_of(HELD)
 
 @dataclass(frozen=True)
 class Measured:
-    """A clip, planted or not: the value of each kind's first figure, and the figures that are past a limit."""
+    """A clip, planted or not: the value of each kind's first figure, and the figures past a limit."""
 
     family: str
     values: Mapping[str, float]
@@ -251,7 +251,7 @@ def _measured(
 
 
 def measure_all(clip: Clip, *, with_drift: bool) -> dict[str, tuple[Measured, Measured]]:
-    """Measure a clip untouched and with each kind of fault, drawn by the number of the clip and the kind."""
+    """Measure a clip untouched and with each kind of fault; the seed is the number of the clip and the kind."""
     untouched, changed = measure(clip), {}
     for at, (kind, plant) in enumerate(FAULTS.items()):
         planted = plant(clip.people_m, clip.rate_hz, np.random.default_rng([SEED, clip.number, at]))
@@ -261,7 +261,7 @@ def measure_all(clip: Clip, *, with_drift: bool) -> dict[str, tuple[Measured, Me
 
 
 def measure_drift(clip: Clip, generator: np.random.Generator) -> tuple[Measured, Measured] | None:
-    """Measure a variant of a clip and the same with a drifting contact; None where nobody touches."""
+    """Measure a variant of a clip and the same with a drifting contact; None without contacts."""
     original = CheckedMotion(clip.family, clip.people_m, clip.rate_hz)
     source = original.source
     if not original.contacts.is_held.any():

@@ -1,4 +1,4 @@
-"""Benchmarks of whole commands: the demo on all cores beside one, and `status` beside plain reading of its store."""
+"""Benchmarks of whole commands: the demo on all cores and on one, `status` and plain reading of its store."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ include_draws = false
 
 
 class CommandFailedError(PasdedeuxError):
-    """A command that is measured failed; the message is one sentence, with what the command said last."""
+    """A measured command failed; the message has the last output of the command."""
 
 
 class _Spent(NamedTuple):
-    """What a run took: seconds by the clock and of processor time; memory of its largest process, and of its store."""
+    """Cost of a run: wall time and processor time, memory of its largest process, and size of its store."""
 
     clock_s: float
     processor_s: float
@@ -56,7 +56,7 @@ class _Spent(NamedTuple):
 
 
 def _run(workers: int, study: str = "duets", *arguments: str) -> _Spent:
-    """Return what `pasdedeux run` takes into a new store.
+    """Return the cost of `pasdedeux run` into a new store.
 
     Raises:
         CommandFailedError: It ended with another exit code than 0.
@@ -76,7 +76,7 @@ def _run(workers: int, study: str = "duets", *arguments: str) -> _Spent:
 
 
 def _demo() -> BenchmarkResult:
-    """Measure the study of the demo by the clock; the first run, which may compile, is said and not compared."""
+    """Measure the wall time of the demo's study; the first run, which may compile, is reported but not compared."""
     cores = usable_cores()
     first_s, first_spent_s, *_ = _run(cores)
     many_s, spent_s, *_ = _run(cores)
@@ -92,7 +92,7 @@ def _demo() -> BenchmarkResult:
 
 
 def _status() -> BenchmarkResult:
-    """Measure `status` of a store of many small artifacts, all of one stage; its plain form only parses manifests."""
+    """Measure `status` of a store with many small artifacts of one stage; the plain form only parses manifests."""
     with tempfile.TemporaryDirectory() as folder:
         store = Store(folder)
         described = ArtifactFields(
@@ -127,7 +127,7 @@ def _status() -> BenchmarkResult:
 
 
 def _takes() -> BenchmarkResult:
-    """Measure three stages on ever more takes of 2 s, built in with other bodies, speeds and forms, in one process."""
+    """Measure three stages on growing numbers of drawn built-in takes of 2 s, in one process."""
     takes = []
     for count in _NUMS_TAKES:
         with tempfile.TemporaryDirectory() as folder:

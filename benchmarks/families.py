@@ -1,17 +1,16 @@
-"""Motion of which the database has nothing: clips of nine families, each reconstructed from the takes of the others.
+"""Errors on unseen motion: clips of nine families, each reconstructed from the takes of the others.
 
-    python -m benchmarks.families DATA                      the tables of docs/findings.md: seven clips of each family
+    python -m benchmarks.families DATA                      reconstruction-by-family.md: seven clips of each family
     python -m benchmarks.families DATA --families hug,judo --clips 3
-    python -m benchmarks.families DATA --lens --stature     what stating the focal length and the statures brings
+    python -m benchmarks.families DATA --lens --stature     with stated focal length and statures
     python -m benchmarks.families DATA --no-level           without the level camera, for half the time
-    python -m benchmarks.families DATA --clips 4 --seed 2 --pitches=-18,-24,-30,-36  others, before cameras look up
+    python -m benchmarks.families DATA --clips 4 --seed 2 --pitches=-18,-24,-30,-36  other clips, cameras that look up
 
-DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from CMU) and `contact_pairs`, as
-PASDEDEUX_DATA names it.  The database is built first, in --store, and once.  Clips last 4 s at 30 Hz: people of 1.5 to
-2.0 m, pitches of -6 to 42 degrees, lenses of 0.72 and 1.15 of the image's width that are not told, 3 px of noise that
-lasts, 5 % of the joints missed.  Printed are the errors beside their baselines, how well expected errors hold, and the
-constants of `reconstruction.reliability` fitted to all families, and judged on each by those of the others, and on half
-of the families by the other half.
+DATA is a folder of motion capture with `cmu_salsa_bvh`, `cmu_asfamc` (both from CMU) and `contact_pairs`, the folder of
+PASDEDEUX_DATA.  The database is built once, in --store.  Clips last 4 s at 30 Hz: people of 1.5 to 2.0 m, pitches of -6
+to 42 degrees, unknown lenses of 0.72 and 1.15 of the image's width, 3 px of correlated noise, 5 % of the joints
+missing.  The output has the errors and their baselines, the coverage of expected errors, and the constants of
+`reconstruction.reliability`, fitted on all families and cross-validated over families and over halves of them.
 """
 
 from __future__ import annotations
@@ -62,12 +61,12 @@ FAMILIES = {
 RATE_HZ, SECONDS, WIDTH, HEIGHT = 30.0, 4.0, 1920, 1080
 PITCHES_DEG = (-5, 0, 5, 8, 12, 20, 30, 40)
 LARGE_M = 0.12
-"""Errors above this are to be told from smaller ones."""
+"""Limit of large errors, which are to be recognised."""
 
 
 @dataclass(frozen=True)
 class Clip:
-    """Which seconds of which take are seen, of people how tall, by what camera."""
+    """Part of a take, statures of its people, and camera of a clip."""
 
     family: str
     take: str
@@ -81,7 +80,7 @@ class Clip:
 
 @dataclass(frozen=True)
 class Seen:
-    """A clip as its camera sees it: tracks, true positions (frame, person, 14, 3) in camera axes, camera's height."""
+    """A filmed clip: tracks, true positions (frame, person, 14, 3) in camera axes, and the height of the camera."""
 
     clip: Clip
     tracks: list[Track]
@@ -116,14 +115,14 @@ def study_of(data: Path) -> str:
 
 
 def _inline(value: Any) -> str:
-    """Return a value as TOML says it."""
+    """Return a value as TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {_inline(one)}" for key, one in value.items()) + " }"
     return f"[{', '.join(map(_inline, value))}]" if isinstance(value, list) else json.dumps(value)
 
 
 class Takes:
-    """The takes of all families, and the databases without one of them each."""
+    """The takes of all families, and for each family a database without it."""
 
     def __init__(self, data: Path, store: Path) -> None:
         store.mkdir(parents=True, exist_ok=True)
@@ -152,7 +151,7 @@ class Takes:
         return replace(database, ready=tuple(database.searcher(pitch) for pitch in database.pitches_rad))
 
     def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[Clip]:
-        """Return as many clips of each family; those of another seed have nothing in common."""
+        """Return so many clips of each family; clips of different seeds are independent."""
         rng, clips = np.random.default_rng(seed), list[Clip]()
         for family, takes in FAMILIES.items():
             for number in range(num_clips):
@@ -222,7 +221,7 @@ def reconstruct(
 
 @dataclass(frozen=True)
 class Row:
-    """Errors of one person or couple of a clip by method, metres; what is expected of the last, and from what."""
+    """Errors of one person or couple of a clip by method, metres; the expected error of the last, and its evidence."""
 
     clip: Clip
     is_place: bool
@@ -277,7 +276,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def say_all(takes: Takes, asked: argparse.Namespace) -> None:
-    """Reconstruct the clips, say each, and print the tables."""
+    """Reconstruct the clips, report each, and print the tables."""
     rows: list[Row] = []
     pitches_deg = [float(one) for one in asked.pitches.split(",")]
     clips = takes.clips(asked.clips, seed=asked.seed, pitches_deg=pitches_deg)
@@ -318,7 +317,7 @@ def say_errors(rows: Sequence[Row]) -> None:
 
 
 def say_expected(rows: Sequence[Row]) -> None:
-    """Print how well expected errors hold, as they are, and as those that are fitted to other families do."""
+    """Print the coverage of expected errors, with the constants in use and with those fitted on other families."""
     true, expected = np.array([[row.errors_m["ours"], row.expected_m] for row in rows]).T
     evidence, families = np.array([row.evidence for row in rows]), np.array([row.clip.family for row in rows])
     large = true > LARGE_M * (2 if rows[0].is_place else 1)
@@ -346,7 +345,7 @@ def say_expected(rows: Sequence[Row]) -> None:
 
 
 def outside(evidence: Array, true: Array, families: Any, chosen: Sequence[Any]) -> Array:
-    """Return what is expected of all rows, and the ends of the interval (3, row), by families that are not their own.
+    """Return expected errors and interval ends of all rows (3, row), fitted on other families.
 
     Args:
         evidence: (row, n).
@@ -393,7 +392,7 @@ def fitted(evidence: Array, true_m: Array) -> Array:
 
 
 def auc(score: Array, is_large: npt.NDArray[np.bool_]) -> float:
-    """Return how well a score separates large errors from others."""
+    """Return the AUC of a score for large errors."""
     above = score[is_large][:, None] - score[~is_large]
     return float(np.mean((above > 0) + 0.5 * (above == 0))) if above.size else float("nan")
 

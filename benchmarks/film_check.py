@@ -1,4 +1,4 @@
-"""What a real network sees of a film, as `pasdedeux annotate` reads it; for `make film`, in an environment of its own.
+"""Detect poses in a film with a real network, for `pasdedeux annotate`; run by `make film`, in its own environment.
 
 `python benchmarks/film_check.py FILM OUT.csv` with mediapipe 0.10.21, which brings its detector and landmark networks.
 """

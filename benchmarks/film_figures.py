@@ -1,4 +1,4 @@
-"""Measures what is said of film: tracking against interpolation, its speed, people who cross, pairs lifted; not a test.
+"""Measure the figures of film: tracking against interpolation, speed, crossing people, lifted pairs; not a test.
 
 `python -m benchmarks.film_figures DATA` with the folder of real motion data; a quarter of an hour on one core.
 """
@@ -35,7 +35,7 @@ _LIFTED = ("sequence_id", "frame", "method", "pair17_m")
 
 
 def tracked(film: Film, hidden: float) -> dict[str, float]:
-    """Return mean errors over visible joints between key frames, % of body height, and what is filled of them."""
+    """Return mean errors over visible joints between key frames, % of body height, and the share of filled ones."""
     given = rows_of(film, sorted({*range(0, len(film.px), EVERY), len(film.px) - 1}), hidden=hidden)
     start = time.process_time()
     frames = annotate_shot(given, iter(film.images), 0, len(film.images), is_key=True).frames
@@ -61,7 +61,7 @@ def tracked(film: Film, hidden: float) -> dict[str, float]:
 
 
 def crossings(data: Path, take: str, seed: int) -> tuple[int, int, int]:
-    """Return how often two people cross in the image, after how many of these they are who they were, and frames."""
+    """Return the numbers of crossings of two people, of those with correct identities afterwards, and of frames."""
     rng = np.random.default_rng(seed)
     seen = seen_by_detector(rng, salsa_couple(data, take), noise_px=6.0)
     is_missed = rng.random(seen.confidence.shape) < 0.1

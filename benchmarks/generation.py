@@ -1,4 +1,4 @@
-"""The published network beside the interaction mesh, for one motion (Li et al. 2024, section 5.3)."""
+"""The published network compared with the interaction mesh, for one motion (Li et al. 2024, section 5.3)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pasdedeux.skeletons import BODY22
 _DURATION_S, _RATE_HZ = 4.0, 30.0
 _SCALE = 0.9
 _PUBLISHED_S = 0.323, 120.0
-"""Seconds of network and of interaction mesh for one motion, as the paper states them."""
+"""Seconds of network and of interaction mesh for one motion, from the paper."""
 
 
 def _model() -> BenchmarkResult:
-    """Motions a second that the network gives, not yet cleaned, beside the solver with its mesh, one at a time."""
+    """Measure motions per second of the network, before clean-up, and of the solver with its mesh, one at a time."""
     from pasdedeux.learning.networks.interaction_cvae import InteractionCvae  # torch
     from pasdedeux.learning.networks.layers import initialise
 

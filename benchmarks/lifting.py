@@ -1,4 +1,4 @@
-"""What retrieval costs: `pasdedeux bench lifting` shows it beside brute force, with whether answers are the same."""
+"""Cost of retrieval compared with brute force, and agreement of the results: `pasdedeux bench lifting`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def retrieval_problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def plain_nearest(pairs_m: np.ndarray, image_m: np.ndarray, directions: np.ndarray, *, count: int = 1) -> NearestDraws:
-    """Return the nearest draws draw by draw and view by view: what `DrawIndex.nearest` must give."""
+    """Return the nearest draws by brute force over draws and views: the oracle of `DrawIndex.nearest`."""
     is_seen = np.isfinite(image_m).all(axis=-1).ravel()
     image = image_m.reshape(-1, 2)[is_seen]
     squared = np.stack(

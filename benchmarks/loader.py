@@ -1,4 +1,4 @@
-"""The loader of windows beside plain reading of the same Parquet files with pyarrow, and the loader of `datasets`."""
+"""The loader of windows compared with plain reading by pyarrow, and with the loader of `datasets`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TAKES, _VARIANTS, _FRAMES, _WINDOW, _RATE_HZ = 16, 40, 150, 30, 30.0
 _COLUMNS = ["body22_m", "body22_unitquat"]
 _MADE_UP = SourceCredit("made up", "CC0", "made up for benchmarks")
 _ROWS_OF_DATASETS = 3_000
-"""Rows that `datasets` reads in a repeat: it is slow."""
+"""Rows that `datasets` reads in a repeat, few because it is slow."""
 
 
 def _rows(table: str, count: int, **given: Any) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def _commit(store: Store, stage: str, name: str, tables: dict[str, Any], facts: 
 
 
 def _add_take(store: Store, number: int) -> tuple[Manifest, Manifest]:
-    """Commit a waltz, and variants of it that are all of its size, at other places."""
+    """Commit a waltz, and variants of its size at other places."""
     name, rng = f"take-{number}", np.random.default_rng(number)
     people_m = make_duet("waltz", duration_s=_FRAMES / _RATE_HZ, rate_hz=_RATE_HZ).positions_m()
     frames, variants = len(people_m), [f"v{at}" for at in range(_VARIANTS)]
@@ -118,7 +118,7 @@ def _with_datasets(files: list[Path]) -> None:
 
 
 def _beside(name: str, other: Callable[[list[Path]], None], label: str, rows: int) -> BenchmarkResult:
-    """Measure shuffled windows of all arrays beside so many rows of a reader, two a frame, each frame in one window."""
+    """Measure shuffled windows of all arrays, and a reader of so many rows, two per frame, each frame in one window."""
     with _drawn() as store:
         windows = PairDataset("variants:bench", _WINDOW, store=store)
         stream, files = PairStream(windows, 64), table_files("variants:bench", store)

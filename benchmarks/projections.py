@@ -47,7 +47,7 @@ _NUM_POSES = 7_200
 """Poses of the paper's database; with 30 yaw steps 216,000 projections."""
 
 _NUM_CLUSTERS = 500
-"""Clusters of the paper."""
+"""Number of clusters in the paper."""
 
 _NUM_SIGNALS = 5
 _NUM_QUERIES = 300
@@ -83,7 +83,7 @@ def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0) -> Database:
 def search_brute_force(
     database: Database, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
 ) -> Neighbours:
-    """Return what `ProjectionIndex.search` gives, by looking at all projections: the plain form, the tests' oracle."""
+    """Return the result of `ProjectionIndex.search` by brute force: the plain form, and the oracle of the tests."""
     joints = database.num_joints
     query, weight = prepare_query(query_m, weights, num_joints=joints)
     projections = database.project().reshape(-1, joints, 2)
@@ -110,7 +110,7 @@ def search_brute_force(
 
 
 def _queries() -> npt.NDArray[np.float64]:
-    """Return noisy images of a motion that the database does not hold, 1 cm a joint.
+    """Return noisy images of a motion that is not in the database, 1 cm of noise per joint.
 
     About as far from their best match as people's motion is from other people's, 5 to 10 cm a joint.
     """
@@ -157,7 +157,7 @@ def _query() -> BenchmarkResult:
 
 
 def _published() -> BenchmarkResult:
-    """Measure each step of the published preparation beside our tree, then a query and a frame of both."""
+    """Measure each step of the published preparation and our tree, then a query and a frame of both."""
     database, rng = made_up_database(), np.random.default_rng(0)
     steps: dict[str, str] = {}
 
@@ -270,7 +270,7 @@ def _live() -> BenchmarkResult:
 
 
 def _reconstruct() -> BenchmarkResult:
-    """Measure what `pasdedeux reconstruct` computes of film of two people, beside the nearest pose of each frame."""
+    """Measure the reconstruction of a film of two people, and the nearest pose of each frame as baseline."""
     searcher = Searcher.of(made_up_database())
     camera, places = searcher.database.camera, np.array([[760.0, 540.0], [1160.0, 540.0]])
     motions = [made_up_database(_LIVE_FRAMES, seed=seed).poses_m.astype(np.float64) for seed in (1, 2)]

@@ -1,4 +1,4 @@
-"""All benchmarks by stage, and what `pasdedeux bench` measures and prints of them."""
+"""All benchmarks by stage, and the measurements and output of `pasdedeux bench`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BENCHMARKS: dict[str, Mapping[str, Callable[[], BenchmarkResult]]] = {
     "commands": commands.BENCHMARKS,
 }
 _SLOW = ("full-scale", "commands")
-"""These take minutes, so they run only where they are named."""
+"""These take minutes, so they run only if named."""
 
 
 def run(stage: str | None, say: Callable[[str], None]) -> list[tuple[str, BenchmarkResult]]:
@@ -41,7 +41,7 @@ def run(stage: str | None, say: Callable[[str], None]) -> list[tuple[str, Benchm
 
 
 def table(results: list[BenchmarkResult]) -> list[str]:
-    """Return a line for each result under a header, with the two forms that are compared below it."""
+    """Return a header and a line for each result, with the two compared forms below it."""
     rows = [(r.name, _rate(r.fast_per_s), _rate(r.plain_per_s), f"{r.unit}/s", f"x {r.ratio:.1f}") for r in results]
     lines = format_table(("benchmark", "fast", "plain", "", "ratio"), rows)
     for number, result in enumerate(results, start=1):

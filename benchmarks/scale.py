@@ -1,6 +1,6 @@
-"""How cost grows with size: work per second at the largest size beside the smallest, and the exponent between all.
+"""Growth of cost with size: work per second at the largest and the smallest size, and the exponent over all sizes.
 
-An exponent of 1 is cost in proportion to size, and a ratio of 1; of 0, cost that does not grow.
+An exponent of 1 is cost in proportion to size, and a ratio of 1; an exponent of 0 is constant cost.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Work = Callable[[], object]
 
 _NUM_QUERIES = 200
 _BATCH = 32
-"""Variants that are solved at once, as the stage does."""
+"""Variants per batch, as in the stage."""
 
 
 def grown(
@@ -66,7 +66,7 @@ def growth(
     *,
     count: int = 0,
 ) -> BenchmarkResult:
-    """Return what work took at several sizes, and the exponents; takes what `grown` takes, megabytes by what they are.
+    """Return the cost of the work at several sizes, and the exponents; arguments as for `grown`, megabytes by name.
 
     A megabyte is added to each before the exponent is fitted: what is nothing beside the process does not grow.
     """
@@ -130,7 +130,7 @@ def _variants(num_variants: int) -> Work:
 
 
 def _benchmarks(*, is_full: bool) -> dict[str, Callable[[], BenchmarkResult]]:
-    """Return the benchmarks of growth, to sizes that take a minute or, in full, many."""
+    """Return the benchmarks of growth, up to sizes that take a minute, or many minutes in full."""
     projections = (100_000, 1_000_000, 10_000_000) if is_full else (20_000, 200_000, 2_000_000)
     annotations = (1_000, 32_000, 1_000_000) if is_full else (500, 4_000, 32_000)
     draws = (1_000, 10_000, 100_000) if is_full else (500, 2_000, 8_000)

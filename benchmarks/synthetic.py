@@ -46,7 +46,7 @@ def random_pairs(rng: np.random.Generator, num_pairs: int, *, spread_rad: float 
 
 
 def random_parameters(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
-    """Return the parameters (pair, 108) of `random_pairs`, round the standing pair."""
+    """Return the parameters (pair, 108) of `random_pairs`, around the standing pair."""
     parameters = np.tile(PairChart(standing_pair()).seed_parameters(), (num_pairs, 1))
     noise = spread_rad * rng.normal(size=(num_pairs, NUM_PARAMETERS))
     noise[:, LENGTH_INDICES.ravel()] = 0.0
@@ -70,6 +70,6 @@ def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations
 
 
 def random_bank(rng: np.random.Generator, annotations: AnnotatedPairs, num_views: int, **options: Any) -> ViewBank:
-    """Return what counts for each of so many views, drawn near those of annotations; options are of `build_bank`."""
+    """Return the bank of annotations for so many views, drawn near theirs; options are of `build_bank`."""
     views = draw_views(rng, annotations.directions, np.ones(len(annotations.directions)), num_views)
     return build_bank(views, annotations, **options)

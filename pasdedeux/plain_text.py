@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 
 _HIDDEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters and marks that change the direction of text; not tabs and line ends."""
@@ -23,6 +24,15 @@ def counted(number: int, noun: str) -> str:
     if number == 1:
         return f"1 {noun}"
     return f"{number} people" if noun == "person" else f"{number} {noun}s"
+
+
+def together(names: Sequence[str]) -> str:
+    """Join names as a sentence does.
+
+    >>> together(["a", "b", "c"])
+    'a, b and c'
+    """
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def visible(text: str, *, is_line: bool = False) -> str:

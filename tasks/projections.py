@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.arrays import merge_axes
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
@@ -155,15 +156,14 @@ def _project(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
     options = shard.options(PoseShard)
     ref = shard.ref("poses")
-    groups = _READERS[options.origin](store, ref, options.rate_hz)
-    positions = np.concatenate([group.op14_m.reshape(-1, OP14.num_joints, 3) for group in groups])
-    unitquat = np.concatenate([group.body22_unitquat.reshape(-1, BODY22.num_joints, 4) for group in groups])
+    group = _READERS[options.origin](store, ref, options.rate_hz)
+    positions, unitquat = merge_axes(group.op14_m, 0, 2), merge_axes(group.body22_unitquat, 0, 2)
     centred = centre_and_face(retarget_proportions(positions))
     heading = unitquat_from_rotmat(yaw_rotmat(-centred.heading_rad))
     unitquat[:, BODY22.root] = multiply(heading, unitquat[:, BODY22.root])
     columns: dict[str, Any] = {
         "origin": [options.origin] * len(positions),
-        **_rows(groups),
+        **_rows(group),
         "op14_m": centred.poses_m,
         "op14_unitquat": bone_rotations(centred.poses_m),
         "body22_unitquat": unitquat,
@@ -277,30 +277,26 @@ class _PosesTogether(NamedTuple):
     has_past: bool = True
 
 
-def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_PosesTogether]:
+def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> _PosesTogether:
     """Return the poses of every person of a take at the database's rate."""
     take, rest_m = TakeFacts.of(store.manifest(ref)), read_rest(store, ref)
     poses = read_motion(store, ref, "op14_m", "body22_m", "body22_world_unitquat")
     op14, body22, world = (np.ascontiguousarray(values.swapaxes(0, 1)) for values in poses.values())
-    turned = [rotations_from_t_pose(*one) for one in zip(body22, normalise(world), rest_m, strict=True)]
-    return [_resampled(take, op14, turned, rate_hz)]
+    moved = np.stack([resample_positions(own, from_hz=take.rate_hz, to_hz=rate_hz) for own in op14])
+    turned = []
+    for person in zip(body22, normalise(world), rest_m, strict=True):
+        local = rotations_from_t_pose(*person)
+        motion = Motion(BODY22, REFERENCE_REST_M, np.zeros((len(local), 3)), local, take.rate_hz)
+        turned.append(motion.resample(rate_hz).local_unitquat)
+    return _PosesTogether([take.take_id] * moved.shape[1], moved, np.stack(turned))
 
 
-def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> list[_PosesTogether]:
+def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> _PosesTogether:
     """Return both people of every draw."""
     draws = store.read(ref, "draws", columns=["pair17_m", "take_id"])
     pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17).swapaxes(0, 1)
     take_ids = [take_id or "" for take_id in draws["take_id"]]
-    return [_PosesTogether(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)]
-
-
-def _resampled(facts: TakeFacts, op14_m: np.ndarray, unitquat: Sequence[np.ndarray], rate_hz: float) -> _PosesTogether:
-    """Return people at another rate."""
-    rates = {"from_hz": facts.rate_hz, "to_hz": rate_hz}
-    moved = np.stack([resample_positions(own, **rates) for own in op14_m])
-    motions = [Motion(BODY22, REFERENCE_REST_M, np.zeros((len(turns), 3)), turns, facts.rate_hz) for turns in unitquat]
-    turned = np.stack([motion.resample(rate_hz).local_unitquat for motion in motions])
-    return _PosesTogether([facts.take_id] * moved.shape[1], moved, turned)
+    return _PosesTogether(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)
 
 
 def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
@@ -308,24 +304,18 @@ def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
     return pose_body(body_of(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M), retarget_proportions(op14_m))[1]
 
 
-def _rows(groups: Sequence[_PosesTogether]) -> dict[str, Any]:
-    """Return who and when each row is, person after person, and for two people where the other's row is."""
-    rows: dict[str, list[Any]] = {}
-    for group in groups:
-        num_people, num_frames = group.op14_m.shape[:2]
-        count, first = num_people * num_frames, len(rows.get("frame", ()))
-        frame = np.tile(np.arange(num_frames), num_people)
-        partner = first + (np.arange(count) + num_frames) % count if num_people == 2 else [None] * count
-        added = {
-            "take_id": [*group.take_ids] * num_people,
-            "person": np.repeat(np.arange(num_people), num_frames),
-            "partner_row": partner,
-            "frame": frame,
-            "is_sequence_start": (frame == 0) | (not group.has_past),
-        }
-        for name, values in added.items():
-            rows.setdefault(name, []).extend(values)
-    return rows
+def _rows(group: _PosesTogether) -> dict[str, Any]:
+    """Return which person and frame each row is, person after person, and for two people the other's row."""
+    num_people, num_frames = group.op14_m.shape[:2]
+    count = num_people * num_frames
+    frame = np.tile(np.arange(num_frames), num_people)
+    return {
+        "take_id": [*group.take_ids] * num_people,
+        "person": np.repeat(np.arange(num_people), num_frames),
+        "partner_row": (np.arange(count) + num_frames) % count if num_people == 2 else [None] * count,
+        "frame": frame,
+        "is_sequence_start": (frame == 0) | (not group.has_past),
+    }
 
 
 _READERS = {"take": _of_take, "draw": _of_draws}

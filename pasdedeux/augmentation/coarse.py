@@ -27,14 +27,12 @@ class Thinning:
     """A problem at some of the frames.
 
     Args:
-        problem: The problem at n frames.
-        frames: Which frames of the take these are (n,), evenly spaced.
+        problem: The problem at n of the frames, evenly spaced.
         neighbours: The four of them that each frame of the take is interpolated from (T, 4).
         shares: Their shares (T, 4); they sum to 1.
     """
 
     problem: MeshProblem
-    frames: Indices
     neighbours: Indices
     shares: Array
 
@@ -67,7 +65,7 @@ def thin_out(problem: MeshProblem, stride: int) -> Thinning:
         coupling=problem.coupling[frames],
     )
     neighbours, shares = _catmull_rom(frames, total)
-    return Thinning(problem=thinned, frames=frames, neighbours=neighbours, shares=shares)
+    return Thinning(problem=thinned, neighbours=neighbours, shares=shares)
 
 
 def interpolate(thinning: Thinning, values: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged
+from pasdedeux.interaction.graph import joined
 from pasdedeux.skeletons import BODY22
 
 _SMALLEST_SQUARED_DISTANCE_M2 = 1e-4
@@ -54,12 +53,12 @@ def delaunay_edges(points: Array) -> Flags:
     try:
         mesh = Delaunay(points)
         if len(mesh.coplanar) == 0:
-            return _adjacency(mesh.simplices, len(points))
+            return joined(mesh.simplices, len(points))
     except QhullError:
         pass
     joggle = np.random.default_rng(len(points)).uniform(-_JOGGLE_M, _JOGGLE_M, points.shape)
     spread = points - points.mean(axis=0) + joggle
-    return _adjacency(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points))
+    return joined(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points))
 
 
 def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
@@ -83,10 +82,3 @@ def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
     if smoothing_s > 0:
         weights = averaged(weights, smoothing_s * source.rate_hz)
     return InteractionMesh(weights)
-
-
-def _adjacency(simplices: npt.NDArray[np.int32], count: int) -> Flags:
-    is_edge = np.zeros((count, count), dtype=bool)
-    for i, j in combinations(range(simplices.shape[1]), 2):
-        is_edge[simplices[:, i], simplices[:, j]] = True
-    return np.asarray(is_edge | is_edge.T)

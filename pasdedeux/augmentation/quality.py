@@ -151,7 +151,7 @@ class QualityMeter:
         self._held = np.nonzero(self._contacts.is_held)
         self._frames = self._held[0]
         self._class = self._contacts.num_hands[self._held]
-        self._distance = self._contact_distances(points)
+        self._distance = self._contacts.held_distances(points)
         self._jerk, self._frame_jerk = _jerk(points)
         self._points = points
         self._stances = _stances(stance_weights(source, user_contacts).reshape(len(points), -1) >= _STANDS)
@@ -178,8 +178,8 @@ class QualityMeter:
             lengths_m: Bone lengths (n,), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres.
         """
-        drift = np.abs(self._contact_distances(points) - self._distance)
-        drift_fk = np.abs(self._contact_distances(reference) - self._distance)
+        drift = np.abs(self._contacts.held_distances(points) - self._distance)
+        drift_fk = np.abs(self._contacts.held_distances(reference) - self._distance)
         people = self._people(points)
         bone_error = np.abs(bone_lengths(BODY22, people) - lengths_m.reshape(bone_scale.shape)).max(axis=(1, 2))
         excursion, by_stance = self._excursions(points, np.abs(bone_scale - 1.0).max(axis=1))
@@ -235,7 +235,7 @@ class QualityMeter:
         """
         if not len(self._frames):
             return None
-        drift = np.abs(self._contact_distances(points) - self._distance)
+        drift = np.abs(self._contacts.held_distances(points) - self._distance)
         both, which = np.unique(np.sort(self._contacts.bones()[self._held], axis=1), axis=0, return_inverse=True)
         drifts = [float(np.percentile(drift[which == number], _PERCENTILE)) for number in range(len(both))]
         worst = int(np.argmax(drifts))
@@ -243,9 +243,6 @@ class QualityMeter:
 
     def _people(self, points: Array) -> Array:
         return points.reshape(-1, *self._source.positions_m.shape[1:])
-
-    def _contact_distances(self, points: Array) -> Array:
-        return np.asarray(np.linalg.norm(self._contacts.vectors(points)[self._held], axis=-1))
 
     def _excursions(self, points: Array, rescaled: Array) -> tuple[Array, list[float]]:
         """Return how far joints that stand are from their median place in that stance: by frame, by stance.

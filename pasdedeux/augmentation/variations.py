@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.people.names import person_name, person_names
+from pasdedeux.plain_text import together
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
 
@@ -146,8 +147,7 @@ def variant_in_words(variant_id: str) -> str:
     match variant_id.split("-"):
         case [who, kind, scale]:
             bones = "all bones" if kind == "uniform" else kind.replace("_", " ")
-            people = " and ".join(filter(None, (", ".join(who[:-1]), who[-1:])))
-            return f"{bones} of {people} times {scale}"
+            return f"{bones} of {together(who)} times {scale}"
         case _:
             return variant_id
 

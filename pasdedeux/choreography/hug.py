@@ -124,8 +124,7 @@ class Hug(Dance):
 def _resting_place(body: Physique, other: Physique, *, is_over: bool) -> tuple[str, float, float]:
     """Return the partner's bone, the share of it, and how far round the back (radians from the front) a wrist rests."""
     if is_over:
-        chest, neck = other.standing_m("spine3"), other.standing_m("neck")
-        return "neck", (0.79 * other.height_m - chest) / (neck - chest), np.radians(150.0)
+        return *other.trunk_at(0.79 * other.height_m), np.radians(150.0)
     low, high = other.standing_m("spine1"), other.standing_m("spine2")
     wanted = body.standing_m("left_shoulder") - 0.12 * body.height_m
     return "spine2", float(np.clip((wanted - low) / (high - low), 0.0, 1.0)), np.radians(145.0)

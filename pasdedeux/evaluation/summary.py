@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.verdicts import verdict_words
-from pasdedeux.plain_text import counted
+from pasdedeux.plain_text import counted, together
 from pasdedeux.verdict import Level, Verdict
 
 _MAX_SKIPPED = 8
@@ -201,9 +201,7 @@ class Summary:
     def headlines(self) -> list[str]:
         """What a run ends with: what was built, what to use, each product, and each verdict that fails."""
         failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL or not self.products}
-        lines = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
-        lines += filter(None, [self.advice])
-        lines += self._product_lines()
+        lines = [*self._answers, *filter(None, [self.advice]), *self._product_lines()]
         lines += [f"{name}: {verdict_words(one)}" for name, one in failed.items()]
         if rest := len(self.verdicts) - len(failed):
             lines.append(
@@ -226,8 +224,11 @@ class Summary:
         skipped = [f"skipped: {sentence}" for sentence in self.skipped[:_MAX_SKIPPED]]
         if (rest := len(self.skipped) - _MAX_SKIPPED) > 0:
             skipped.append(f"skipped: {rest} more, all of them in the report and the card")
-        answers = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
-        return [*answers, *self.good, *skipped]
+        return [*self._answers, *self.good, *skipped]
+
+    @property
+    def _answers(self) -> list[str]:
+        return [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
 
 
 def _judge_of(name: str) -> str | None:
@@ -250,15 +251,6 @@ def folded(sentences: Iterable[str]) -> list[str]:
         name, colon, rest = sentence.partition(": ")
         names.setdefault(colon + rest if colon else sentence, []).append(name if colon else "")
     return [f"{listed(found)}{rest}" for rest, found in names.items()]
-
-
-def together(names: Sequence[str]) -> str:
-    """Join names as a sentence does.
-
-    >>> together(["a", "b", "c"])
-    'a, b and c'
-    """
-    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def listed(names: Sequence[str]) -> str:

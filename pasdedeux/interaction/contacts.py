@@ -85,6 +85,10 @@ class Contacts:
         """Return the vectors from second to first point (*batch, T, M, 3) of joints (*batch, T, P J, 3), metres."""
         return np.asarray(stencil_vectors(self.points, self.shares, points_m) - self.places_m)
 
+    def held_distances(self, points_m: Array) -> Array:
+        """Return the distances of the two points of all held contacts (contact,), metres, frame after frame."""
+        return np.asarray(np.linalg.norm(self.vectors(points_m)[self.is_held], axis=-1))
+
     def ends(self, points_m: Array) -> Array:
         """Return the first and the second point (T, M, 2, 3) of joints (T, P J, 3), metres."""
         first = np.asarray(stencil_vectors(self.points[..., :2], self.shares[..., :2], points_m))

@@ -44,11 +44,16 @@ def delaunay_edges(points: Array) -> Edges:
     except QhullError:
         # Flat even after the jitter, by Qhull's own tolerance: let Qhull joggle (its QJ option is deterministic).
         simplices = Delaunay(points + _jitter(num_points, dimension), qhull_options="QJ Qbb Qc").simplices
-    one, other = _CORNERS[dimension]
+    # Flags, as sorting pairs of points takes as long as Qhull.
+    return np.stack(np.nonzero(joined(simplices, num_points) & _is_above(num_points)), axis=1).astype(np.int32)
+
+
+def joined(simplices: Edges, num_points: int) -> Flags:
+    """Return which points share one of the triangles or tetrahedra (simplex, corner), (n, n)."""
+    one, other = _CORNERS[simplices.shape[1] - 1]
     is_joined = np.zeros((num_points, num_points), dtype=bool)
     is_joined[simplices[:, one], simplices[:, other]] = True
-    # Flags, as sorting pairs of points takes as long as Qhull.
-    return np.stack(np.nonzero((is_joined | is_joined.T) & _is_above(num_points)), axis=1).astype(np.int32)
+    return np.asarray(is_joined | is_joined.T)
 
 
 @lru_cache(maxsize=8)

@@ -80,12 +80,10 @@ class Coverage:
             raise InputError("coverage needs at least one real pair")
         self._real = pair_table(real_m)
         self._best = np.full((2, len(real_m)), np.inf)
-        self.num_draws = 0
 
     def add(self, draws: PairTable) -> None:
         """Take more draws into account."""
         _lower_minima(self._real, draws, self._best)
-        self.num_draws += len(draws.points)
 
     @property
     def interaction_m(self) -> Array:

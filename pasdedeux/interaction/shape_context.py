@@ -38,17 +38,20 @@ def plane_polar(points_m: Array) -> tuple[Bins, Array]:
     Both are (*batch, n, n - 1); the sector of an angle is added to the bin.
     """
     towards = _others(points_m)
-    shells = _shell(np.linalg.norm(towards, axis=-1)) * NUM_SECTORS
-    return np.asarray(shells), np.asarray(np.arctan2(towards[..., 1], towards[..., 0]) / (2.0 * np.pi) % 1.0)
+    return _shell(np.linalg.norm(towards, axis=-1)) * NUM_SECTORS, _turn(towards[..., 0], towards[..., 1])
+
+
+def plane_bins(points_m: Array) -> Bins:
+    """Return the bin (*batch, n, n - 1) of every other one of points (*batch, n, 2), metres, seen from each."""
+    first, turns = plane_polar(points_m)
+    return np.asarray(first + _sector(turns))
 
 
 def plane_shape_dissimilarity(moving_m: Array, fixed_m: Array) -> Array:
     """Return the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
     costs = []
     for points in np.broadcast_arrays(align_plane(moving_m, fixed_m), fixed_m):
-        shells, turns = plane_polar(points)
-        bins = shells + np.minimum((turns * NUM_SECTORS).astype(np.int64), NUM_SECTORS - 1)
-        costs.append((bins[..., None] == np.arange(NUM_PLANE_BINS)).mean(axis=-2))
+        costs.append((plane_bins(points)[..., None] == np.arange(NUM_PLANE_BINS)).mean(axis=-2))
     one, other = costs
     total = one + other
     cost = 0.5 * np.sum((one - other) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)
@@ -85,7 +88,9 @@ def shape_bins(pairs_m: Array) -> Bins:
     radius = np.linalg.norm(towards, axis=-1)
     height = towards[..., 1] / np.maximum(radius, 1e-12)
     band = np.minimum((0.5 * (height + 1.0) * NUM_BANDS).astype(np.int16), NUM_BANDS - 1)
-    return np.asarray((_shell(radius) * NUM_SECTORS + _sector(towards[..., 0], towards[..., 2])) * NUM_BANDS + band)
+    return np.asarray(
+        (_shell(radius) * NUM_SECTORS + _sector(_turn(towards[..., 0], towards[..., 2]))) * NUM_BANDS + band
+    )
 
 
 class ShapeCoverage:
@@ -106,14 +111,12 @@ class ShapeCoverage:
         rows = np.arange(bins.shape[0])[:, None, None]
         np.add.at(self._counts, (rows, np.arange(bins.shape[1])[:, None], bins), 1)
         self._best = np.full(len(bins), np.inf)
-        self.num_draws = 0
 
     def add(self, bins: Bins) -> None:
         """Take more pairs into account, of which `shape_bins` gave these."""
         gains = shared_gains(self._counts.shape[1] - 1)
         sums = np.insert(gains.cumsum(axis=0), 0, 0.0, axis=0)
         lower_shape_minima(self._counts, bins.astype(np.uint16), gains, sums, self._best)
-        self.num_draws += len(bins)
 
     @property
     def shape(self) -> Array:
@@ -190,6 +193,10 @@ def _shell(radius: Array) -> Bins:
     return np.asarray(np.clip(shell, 0, NUM_SHELLS - 1), dtype=np.int16)
 
 
-def _sector(x: Array, y: Array) -> Bins:
-    turn = np.arctan2(y, x) / (2.0 * np.pi) % 1.0
-    return np.asarray(np.minimum((turn * NUM_SECTORS).astype(np.int16), NUM_SECTORS - 1))
+def _turn(x: Array, y: Array) -> Array:
+    """Return the angle from x towards y, in turns, from 0 to 1."""
+    return np.asarray(np.arctan2(y, x) / (2.0 * np.pi) % 1.0)
+
+
+def _sector(turns: Array) -> Bins:
+    return np.asarray(np.minimum((turns * NUM_SECTORS).astype(np.int16), NUM_SECTORS - 1))

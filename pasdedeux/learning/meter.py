@@ -275,17 +275,13 @@ class ModelMeter:
 
     def _contact_errors(self, motion_m: Array) -> dict[str, float]:
         """Return how far a motion's contacts are from their distance in the source; NaN where nothing is in contact."""
-        drift = np.abs(self._distances(motion_m) - self._own_distances)
+        drift = np.abs(self.contacts.held_distances(points_of(motion_m)) - self._own_distances)
         figures = (drift.mean(), np.percentile(drift, 95.0)) if len(drift) else (np.nan, np.nan)
         return dict(zip(("contact_error", "contact_error_p95"), _MM * np.array(figures), strict=True))
 
     @cached_property
     def _own_distances(self) -> Array:
-        return self._distances(self._request.source.positions_m)
-
-    def _distances(self, motion_m: Array) -> Array:
-        vectors = self.contacts.vectors(points_of(motion_m))
-        return np.asarray(np.linalg.norm(vectors[self.contacts.is_held], axis=-1))
+        return self.contacts.held_distances(points_of(self._request.source.positions_m))
 
     @cached_property
     def problems(self) -> tuple[list[slice], list[MeshProblem]]:

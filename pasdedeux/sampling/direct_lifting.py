@@ -144,12 +144,11 @@ def lift_pair(
         image = _completed(image_m[person], flat.mean(axis=0), lengths_m[person])
         people.append([_lift_person(image, own, lengths_m[person], limits, prior) for own in torso_m])
     pairs, costs = [], []
-    for first, second in itertools.product(*people):
-        placed = np.stack([np.broadcast_to(first.pose_m, (len(_DEPTHS_M), 17, 3))] * 2, axis=1)
-        placed[:, 1] = second.pose_m
+    for (first, cost_of_first), (second, cost_of_second) in itertools.product(*people):
+        placed = np.stack([np.broadcast_to(pose, (len(_DEPTHS_M), 17, 3)) for pose in (first, second)], axis=1)
         placed[:, 1, :, 2] += _DEPTHS_M[:, None]
         pairs.append(placed)
-        costs.append(np.full(len(placed), first.cost + second.cost))
+        costs.append(np.full(len(placed), cost_of_first + cost_of_second))
     pair, cost = np.concatenate(pairs), np.concatenate(costs)
     seen = pair_frame(pair).coordinates(np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(pair), 3)))
     cost = cost + 0.5 * (angle_between_directions(seen, direction) / VIEW_DEVIATION_RAD) ** 2
@@ -234,12 +233,6 @@ def choose_medoids(matrix: Array, count: int) -> Indices:
     return medoids
 
 
-@dataclass(frozen=True)
-class _Person:
-    pose_m: Array
-    cost: float
-
-
 def _completed(image_m: Array, torso_m: Array, lengths_m: Array) -> Array:
     """Return an image (17, 2) with a guess where no joint is seen (NaN).
 
@@ -274,7 +267,7 @@ def _completed(image_m: Array, torso_m: Array, lengths_m: Array) -> Array:
 
 def _lift_person(
     image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits, prior: PriorSettings
-) -> _Person:
+) -> tuple[Array, float]:
     """Return the likeliest of 256 poses of a person's limbs, (17, 3), pelvis at depth 0, and its cost."""
     up = normalise(torso_m[1] - torso_m[0])
     across = torso_m[2] - torso_m[3]
@@ -297,4 +290,4 @@ def _lift_person(
     for root, _, end in _LIMBS:
         cost = cost - FORWARD_PER_M * ((poses[:, end] - poses[:, root]) @ forward)
     best = int(np.argmin(cost))
-    return _Person(pose_m=poses[best], cost=float(cost[best]))
+    return poses[best], float(cost[best])

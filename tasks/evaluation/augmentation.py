@@ -200,16 +200,12 @@ def contact_drifts(contacts: Contacts, source: Source, variants: Iterable[tuple[
     """
     held = np.nonzero(contacts.is_held)
     is_hand = contacts.num_hands[held] > 0
-
-    def distances(points: Array) -> Array:
-        return np.asarray(np.linalg.norm(contacts.vectors(points)[held], axis=-1))
-
-    before = distances(points_of(source.positions_m))
+    before = contacts.held_distances(points_of(source.positions_m))
     by_method: dict[str, list[Array]] = {_OURS: [], _PLAIN: []}
     for scale, motion in variants:
         plain = reference_motion(source, scale[None])[0]
         for method, moved in zip(by_method, (motion, plain), strict=True):
-            by_method[method].append(np.abs(distances(points_of(moved)) - before))
+            by_method[method].append(np.abs(contacts.held_distances(points_of(moved)) - before))
     drifts = {method: np.array(rows).reshape(len(rows), len(is_hand)) for method, rows in by_method.items()}
     return ContactDrifts(is_hand, held[0], drifts)
 

@@ -15,7 +15,7 @@ from pasdedeux.evaluation.pictures import CurvePanel, Picture, curve_figure, pac
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score, bootstrap_interval, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.learning.mesh_refine import refine
-from pasdedeux.learning.meter import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter, frame_errors_cm
+from pasdedeux.learning.meter import GENERATED, SHARE, SOLVER, UNITS, Errors, ModelMeter
 from pasdedeux.learning.model import VALIDATION_FALL as FALL
 from pasdedeux.learning.model import TrainingItem, VariantModel
 from pasdedeux.learning.registry import BASELINES, DEFAULT_MODELS
@@ -31,13 +31,21 @@ from tasks.evaluation.topic import Topic, TopicResult
 from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.streams import stream
-from tasks.training.items import StoredVariants, interactions_of
+from tasks.training.items import StoredVariants, frame_errors, interactions_of
 from tasks.training.run import load_stored
 
 _DRAWS = 10
 """Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
 _SCALE_STEP = 0.05
 _OF_LOG = ("model", "step", "quantity", "value")
+_OTHER_SKELETON = "Models and figures are for the skeleton {}; surfaces are not measured."
+_OVER_VARIANTS = (
+    "Intervals are over test variants. Variants of one take are similar, so the intervals do not generalise to other "
+    "takes."
+)
+_OVER_TAKES = (
+    f"Intervals are over takes if there are at least {FEWEST_UNITS}, because variants of one take are similar."
+)
 
 
 class ModelsSettings(Parameters):
@@ -112,9 +120,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
         predicted = {name: model.predict(request) for name, model in models.items()}
         for name, found in meter.measure(request.bone_scale, predicted, item.motion_m).items():
             errors[name].append(found)
-        by_frame = {name: frame_errors_cm(motion, item.motion_m) for name, motion in predicted.items()}
-        times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
-        parts.append(Items(by_frame, [take_id] * len(times_s), times_s, count=1))
+        parts.append(frame_errors(item, predicted))
     rivals = [name for name, model in models.items() if model.name in DEFAULT_MODELS]
     plain = [name for name, model in models.items() if model.name in BASELINES]
     split, baselines = f"{split_name} test", rivals if set(models).difference(rivals) else plain
@@ -143,59 +149,58 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
                 drawn.setdefault(name, []).append(found)
     of_draws = [take_id for take_id in meters for _ in range(_DRAWS)]
     scores += model_scores(drawn, split=split, item=GENERATED, takes=of_draws)
-    shared = " The takes are those of the training set, at other scales." if facts.shares_takes else ""
-    caption = (
-        f"Error of each model on the {len(tested)} test variants of split {split_name}. Good: low. Dashed: "
-        f"baselines.{shared}"
-    )
-    said, shown = "", {}
     best = best_model(scores, split=split, baselines=baselines)
     if best is not None and skeleton == BODY22.name and best not in baselines:
         scores += refined_scores(variants, best, models[best], meters, tested, split, takes)
-    if best is not None:
-        cases = extreme_cases([error["E_r"] for error in errors[best]])
-        wanted = [(tested[row].take_id, tested[row].variant_id) for row in cases.values()]
-        items = {(item.request.take_id, item.variant_id): item for item in variants.items(list(dict.fromkeys(wanted)))}
-        shown = {
-            what: (items[key], models[best].predict(items[key].request))
-            for what, key in zip(cases, wanted, strict=True)
-        }
-        listed = "; ".join(
-            f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[best][row]['E_r']:.2f} cm"
-            for what, row in cases.items()
-        )
-        paper = "Li et al. 2024, figs. 5 and 6"
-        where = f"{in_words(best)}, on split {split_name} ({paper})"
-        said = f"{where}. Grey: the true variant. Good: no grey is visible. {listed}."
-    learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
-    notes = [
-        *(
-            [f"Models and figures are for the skeleton {skeleton}; surfaces are not measured."]
-            * (skeleton != BODY22.name)
-        ),
-        f"Split {split_name}: {len(tested)} of {len(test)} test variants of "
-        f"{counted(len(meters), 'take')}; trained on {learned}. "
-        + (
-            (
-                "Intervals are over test variants. Variants of one take are similar, so the intervals do not "
-                "generalise to other takes."
-            )
-            if facts.shares_takes
-            else (
-                f"Intervals are over takes if there are at least {FEWEST_UNITS}, because variants of one take "
-                "are similar."
-            )
-        ),
-        *(
-            f"{name}: the distance of key pairs (JPD) is between {pairs}."
-            for name, one in sorted(meters.items())
-            if (pairs := one.key_names())
-        ),
-    ]
-    judged = {split_name.replace("_", " "): Items.joined(parts)}
+    caption = (
+        f"Error of each model on the {len(tested)} test variants of split {split_name}. Good: low. Dashed: "
+        f"baselines.{' The takes are those of the training set, at other scales.' * facts.shares_takes}"
+    )
+    cases = ("", {}) if best is None else _cases(variants, tested, best, models[best], errors[best], split_name)
     curves = learning_curves([store.read(ref, "training_log") for ref in shard.refs("logs")])
-    drawing = _ShownModels(split_name, caption, tested, distances, baselines, (said, shown), curves)
-    return TopicResult(scores, notes, judged, baselines, drawing)
+    learned = len({key for manifest in stored for key in ModelFacts.of(manifest).train})
+    count_in_words = (
+        f"Split {split_name}: {len(tested)} of {len(test)} test variants of {counted(len(meters), 'take')}; trained on "
+        f"{learned}."
+    )
+    return TopicResult(
+        scores,
+        _notes(facts, count_in_words, meters),
+        {split_name.replace("_", " "): Items.joined(parts)},
+        baselines,
+        _ShownModels(split_name, caption, tested, distances, baselines, cases, curves),
+    )
+
+
+def _cases(
+    variants: StoredVariants,
+    tested: Sequence[VariantKey],
+    name: str,
+    model: VariantModel,
+    errors: Sequence[Errors],
+    split_name: str,
+) -> tuple[str, Mapping[str, tuple[TrainingItem, Array]]]:
+    """Return the best, a middling and the worst prediction of a model, and the caption of their players."""
+    cases = extreme_cases([error["E_r"] for error in errors])
+    wanted = [(tested[row].take_id, tested[row].variant_id) for row in cases.values()]
+    items = {(item.request.take_id, item.variant_id): item for item in variants.items(list(dict.fromkeys(wanted)))}
+    shown = {what: (items[key], model.predict(items[key].request)) for what, key in zip(cases, wanted, strict=True)}
+    listed = "; ".join(
+        f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[row]['E_r']:.2f} cm"
+        for what, row in cases.items()
+    )
+    where = f"{in_words(name)}, on split {split_name} (Li et al. 2024, figs. 5 and 6)"
+    return f"{where}. Grey: the true variant. Good: no grey is visible. {listed}.", shown
+
+
+def _notes(facts: ModelFacts, count_in_words: str, meters: Mapping[str, ModelMeter]) -> list[str]:
+    """Return what a reader must know of the figures: skeleton, number of variants, intervals, key pairs."""
+    notes = [] if facts.skeleton == BODY22.name else [_OTHER_SKELETON.format(facts.skeleton)]
+    notes.append(f"{count_in_words} {_OVER_VARIANTS if facts.shares_takes else _OVER_TAKES}")
+    for name, meter in sorted(meters.items()):
+        if pairs := meter.key_names():
+            notes.append(f"{name}: the distance of key pairs (JPD) is between {pairs}.")
+    return notes
 
 
 def _draw(shown: _ShownModels) -> Iterator[Picture]:

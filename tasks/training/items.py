@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.augmentation import AugmentationSettings, Source
+from pasdedeux.evaluation.verdicts import Items
+from pasdedeux.learning.meter import frame_errors_cm
 from pasdedeux.learning.model import TrainingItem, VariantRequest, mapped_item, mapped_source
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
@@ -26,6 +28,13 @@ def interaction_of(take: Manifest) -> str:
 def interactions_of(takes: Iterable[Manifest]) -> dict[str, str]:
     """Return the interaction of each take by the take's name."""
     return {TakeFacts.of(take).take_id: interaction_of(take) for take in takes}
+
+
+def frame_errors(item: TrainingItem, predicted: Mapping[str, np.ndarray]) -> Items:
+    """Return the error of each frame of an item's predictions, by model, cm."""
+    errors = {name: frame_errors_cm(motion_m, item.motion_m) for name, motion_m in predicted.items()}
+    times_s = np.arange(len(item.motion_m)) / item.request.source.rate_hz
+    return Items(errors, [item.request.take_id] * len(times_s), times_s, count=1)
 
 
 @dataclass(frozen=True)

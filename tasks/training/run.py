@@ -9,7 +9,6 @@ import numpy as np
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import Items, compare
-from pasdedeux.learning.meter import frame_errors_cm
 from pasdedeux.learning.model import Arrays, LogEntry, Trained, Training, TrainingItem, VariantModel
 from pasdedeux.learning.registry import BASELINES, ModelDescription, describe, load_model, model_arrays, model_class
 from pasdedeux.learning.settings import has_torch
@@ -20,7 +19,7 @@ from tasks.committing import commit, followed
 from tasks.facts import ModelFacts
 from tasks.stage import Shard
 from tasks.streams import stream
-from tasks.training.items import StoredVariants
+from tasks.training.items import StoredVariants, frame_errors
 from tasks.training.parameters import TrainingSegmentParameters
 from tasks.training.plan import split_variants
 
@@ -151,10 +150,7 @@ def _judge(name: str, trained: Trained, items: Callable[[], Iterator[TrainingIte
     }
     parts: list[Items] = []
     for item in items():
-        request = item.request
-        errors = {one: frame_errors_cm(found.predict(request), item.motion_m) for one, found in models.items()}
-        times_s = np.arange(len(item.motion_m)) / request.source.rate_hz
-        parts.append(Items(errors, [request.take_id] * len(times_s), times_s, count=1))
+        parts.append(frame_errors(item, {name: model.predict(item.request) for name, model in models.items()}))
     paired = Items.joined(parts).paired([name], BASELINES)
     if paired is None:
         return Verdict(Level.WARN, "no variant is left for validation, so nothing is said of the model")

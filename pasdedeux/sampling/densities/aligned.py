@@ -47,9 +47,7 @@ class AlignedLikelihood(Likelihood):
         self._whole = np.flatnonzero(pairs.is_seen.all(axis=(1, 2)))
         if not len(self._whole):
             raise InputError("none of the annotated pairs shows all joints, which only the density 'ic' can do without")
-        whole = AnnotatedPairs(
-            pairs.points_m[self._whole], pairs.directions[self._whole], pairs.annotation_index[self._whole]
-        )
+        whole = pairs.some(self._whole)
         bank = settings.bank(rng, replace(annotated, pairs=whole, weights=annotated.weights[self._whole]))
         self.sigma_l, self._pooling, self.directions = settings.bandwidth(annotated), settings.pooling, bank.directions
         self._slots, self._counts = np.maximum(bank.candidates, 0), bank.counts

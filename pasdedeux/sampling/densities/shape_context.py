@@ -11,6 +11,7 @@ from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.shape_context import (
     NUM_PLANE_BINS,
     NUM_SECTORS,
+    plane_bins,
     plane_polar,
     plane_shape_dissimilarity,
     shared_gains,
@@ -34,9 +35,7 @@ class ShapeContextLikelihood(AlignedLikelihood):
         self._histograms = np.zeros((*self._points.shape[:2], NUM_PLANE_BINS), dtype=np.uint8)
         self._gains = shared_gains(num_points - 1)
         for own, points in zip(self._histograms, self._points, strict=True):
-            shells, turns = plane_polar(points)
-            bins = shells + np.minimum((turns * NUM_SECTORS).astype(np.int64), NUM_SECTORS - 1)
-            np.add.at(own, (np.arange(num_points)[:, None], bins), 1)
+            np.add.at(own, (np.arange(num_points)[:, None], plane_bins(points)), 1)
 
     def dissimilarity(self, image_m: Array, annotations_m: Array) -> Array:
         """Return the shape-context cost of an image (n, 2) and the most similar annotations of (k, n, 2), (k,)."""

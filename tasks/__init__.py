@@ -1,1 +1,1 @@
-"""What Dask runs: for each stage, the plan of its shards and the work of one shard, as plain functions."""
+"""The functions that Dask runs: for each stage, plan its shards and compute one of them."""

@@ -20,7 +20,7 @@ from tasks.stage import Shard, StageInputs
 
 
 class PairPlace(NamedTuple):
-    """Which annotated pair: a sequence may show several couples in one frame."""
+    """Identity of an annotated pair: a sequence may show several couples in one frame."""
 
     sequence_id: str
     frame: int
@@ -33,7 +33,7 @@ PLACE_COLUMNS = PairPlace._fields
 MIN_SEEN = 10
 """Joints of the two people, of 28, that an annotation must show to be lifted."""
 People = dict[int, np.ndarray]
-"""Joints of a pair in a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
+"""Joints of a pair in a frame, or of the only partner in it, (17, 2), pixels, by person id."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class PlacedPairs:
 class SeenPair:
     """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first.
 
-    One that `is_left_out` is of what draws are not made from.
+    No draws are made from a pair that `is_left_out`.
     """
 
     place: PairPlace
@@ -88,19 +88,19 @@ def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifes
 
 
 def with_views(annotated: Sequence[Manifest], inputs: StageInputs) -> dict[str, list[Manifest]]:
-    """Return as `annotations` those of these that views were estimated from, and the `views` of each."""
+    """Return, as `annotations`, the manifests that views were estimated from, and as `views` those views."""
     views = [(manifest, found_views[0]) for manifest in annotated if (found_views := views_of([manifest], inputs))]
     return {"annotations": [manifest for manifest, _ in views], "views": [found_views for _, found_views in views]}
 
 
 def place_of(table: TableData, row: int) -> PairPlace:
-    """Return which pair a row of `views` or `lifted_pairs` is about."""
+    """Return the pair that a row of `views` or `lifted_pairs` describes."""
     sequence, frame, person, partner = (table[name][row] for name in PLACE_COLUMNS)
     return PairPlace(str(sequence), int(frame), int(person), int(partner))
 
 
 def place_columns(places: Iterable[PairPlace]) -> dict[str, list[Any]]:
-    """Return the columns that say which pairs rows are about."""
+    """Return the columns that identify the pair of each row."""
     listed = list(places)
     return {name: [place[at] for place in listed] for at, name in enumerate(PLACE_COLUMNS)}
 
@@ -117,7 +117,7 @@ def annotation_columns(places: Sequence[PairPlace | None]) -> dict[str, list[Any
 def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[PairPlace, dict[int, int]]:
     """Return the rows of every pair by person id, of the wanted rows (row,) of `annotations`.
 
-    Only one row where a partner is not there; a frame where nobody has a partner is there once, without rows.
+    A pair whose partner is absent has one row; a frame where nobody has a partner comes once, without rows.
     """
     sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
     partners, is_alone = table["partner_id"], table.is_null("partner_id")
@@ -142,8 +142,8 @@ def read_people(
     Args:
         store: Store.
         refs: Artifacts with `annotations`; others are passed over.
-        is_between: Whether frames that are there for velocity alone are wanted too.
-        with_held_out: Whether annotations that are held out are wanted too.
+        is_between: Include frames that only serve to estimate velocity.
+        with_held_out: Include held-out annotations.
     """
     names = ["sequence_id", "frame", "person_id", "partner_id", "is_key", "is_held_out", "pair17_px"]
     people: dict[PairPlace, People] = {}
@@ -166,9 +166,9 @@ def read_seen_pairs(
     num_hypotheses: int,
     instead: Mapping[tuple[str, int], np.ndarray] | None = None,
 ) -> tuple[dict[PairPlace, SeenPair], int]:
-    """Return the annotated pairs with enough joints and a view, in order, and how many had not.
+    """Return the annotated pairs with enough joints and a view, in order, and the number of others.
 
-    `instead` are joints (2, 17, 2), pixels, by sequence and frame, that take the place of those annotated there.
+    `instead` replaces annotated joints: joints (2, 17, 2), pixels, by sequence and frame.
     """
     people = read_people(store, [annotations], with_held_out=True)
     learned = read_people(store, [annotations])
@@ -193,7 +193,7 @@ def read_seen_pairs(
 
 
 def read_all_seen(store: Store, shard: Shard, *, num_hypotheses: int) -> list[dict[PairPlace, SeenPair]]:
-    """Return what `read_seen_pairs` does of each artifact that a shard has by `with_views`."""
+    """Call `read_seen_pairs` for each artifact that `with_views` gave a shard."""
     return [
         read_seen_pairs(store, annotations, views, num_hypotheses=num_hypotheses)[0]
         for annotations, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True)
@@ -248,7 +248,7 @@ def gather(
 
 
 def _moments(places: Sequence[PairPlace], stills: frozenset[str]) -> np.ndarray:
-    """Return when each pair was, in frames: videos lie far apart, and so do stills, whatever their numbers."""
+    """Return the time of each pair, in frames; different videos, and different stills, are kept far apart."""
     numbers = {name: at for at, name in enumerate(sorted({place.sequence_id for place in places}))}
     apart = [SAME_MOMENT if place.sequence_id in stills else 1 for place in places]
     frames = np.array([place.frame * each for place, each in zip(places, apart, strict=True)], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Stage `augmentation`: every take again for other body proportions, contacts kept, each variant measured."""
+"""Stage `augmentation`: solve every take for other body proportions, keeping contacts, and measure each variant."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ AUGMENTATION = StageName("augmentation", 24)
 _SOLVED_TOGETHER, _OF_LONG_TAKES = 32, 16
 """Variants solved in one batch: a few dozen columns fill the matrix products."""
 _LONG_FRAMES = 600
-"""Takes longer than this have fewer in a batch, as memory grows with both."""
+"""Longer takes have fewer variants in a batch, because memory grows with both."""
 
 
 class SolvedParameters(VariationSettings, AugmentationSettings, Parameters):
-    """What the section of a study and a batch of variants have in common: which variants there are, and how."""
+    """Settings shared by a study's section and a batch of variants: which variants are made, and how."""
 
 
 class AugmentationParameters(SolvedParameters, SweptParameters):
@@ -67,14 +67,14 @@ class BatchParameters(SolvedParameters):
 
 
 class NobodyParameters(Parameters):
-    """A take that is passed over, as it has nobody of those who are scaled."""
+    """A take that is skipped because it has none of the people to be scaled."""
 
     persons: tuple[str, ...]
     num_persons: int
 
 
 def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
-    """Plan one shard per take and batch of variants; a take without anybody of those asked for has one that says so."""
+    """Plan one shard per take and batch of variants; a take with none of the requested people gets one that says so."""
     takes = {TakeFacts.of(take).take_id: take for take in inputs.of("poses")}
     _check_takes(parameters, takes)
     sections = {"": parameters, **parameters.swept()}
@@ -100,7 +100,7 @@ def variations(parameters: AugmentationParameters, num_people: int) -> dict[str,
     """Return the variations of a take of so many people, by the name of the sweep; those without one first.
 
     Raises:
-        InputError: Two of them make one variant: by its name nobody could tell how it was solved.
+        InputError: Two sweeps make the same variant, so its name would not tell how it was solved.
     """
     by_take: dict[str, list[Variation]] = {}
     by_id: dict[str, str] = {}
@@ -152,7 +152,7 @@ def batch_of(manifest: Manifest) -> BatchParameters:
 
 
 def solver_variants(inputs: StageInputs) -> list[Manifest]:
-    """Return the batches of variants that the solver made; those sampled from a model are not among them."""
+    """Return the batches of variants made by the solver, without those sampled from a model."""
     return [manifest for manifest in inputs.of("variants") if VariantFacts.of(manifest).origin is None]
 
 
@@ -194,7 +194,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         rate_hz=take.source.rate_hz,
         is_held_out=TakeFacts.of(manifest).is_held_out,
         closest_m=take.source.closest_m,
-        # What reads variants solves more of them: how is part of the content, where the bytes do not tell.
+        # Readers of variants solve more of them, so the settings count as content even if the bytes are equal.
         parameters=parameters.model_dump(mode="json", exclude={"limits"}),
     )
     together = _OF_LONG_TAKES if take.source.num_frames > _LONG_FRAMES else _SOLVED_TOGETHER

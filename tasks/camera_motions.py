@@ -31,7 +31,7 @@ def motion_table(motions: Mapping[str, CameraMotion]) -> dict[str, dict[str, Any
 
 
 def read_camera_motion(store: Store, ref: ArtifactRef, sequence_id: str) -> CameraMotion | None:
-    """Return how the camera of a sequence moves; None where it is still, or where nothing is known of that."""
+    """Return the motion of a sequence's camera; None if it is still or its motion is unknown."""
     if "camera_motions" not in store.manifest(ref).tables:
         return None
     table = store.read(ref, "camera_motions")

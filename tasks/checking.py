@@ -1,6 +1,6 @@
-"""Anybody's motions of people, checked one by one without a store: read as ingest reads them, judged as stages judge.
+"""Check motion files one by one without a store: read them as ingest does, judge them as the stages do.
 
-A command hands `check_motion` to processes, so everything here survives pickling.
+A command runs `check_motion` in other processes, so everything here can be pickled.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from tasks.user_files import exported_unit_m, read_file
 SUFFIXES = tuple(dict.fromkeys(suffix for kind in MOTION_FORMATS.values() for suffix in kind.suffixes))
 """Endings of the files of a folder that are looked at."""
 UNREADABLE = "unreadable"
-"""In place of a level: what cannot be read."""
+"""The level of a file that cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +87,12 @@ class Checked:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict; what cannot be read fails."""
+        """The verdict; a file that cannot be read fails."""
         return Verdict(Level.FAIL if self.level == UNREADABLE else Level(self.level), self.reason)
 
 
 def files_below(paths: Iterable[Path]) -> list[Path]:
-    """Return the files that are given, and those of folders that end as motion files do, sorted.
+    """Return the given files, and the motion files in given folders by their suffix, sorted.
 
     Of files of one folder that differ in their ending alone, as exports write BVH and npz, the first kind is taken.
 
@@ -116,7 +116,7 @@ def files_below(paths: Iterable[Path]) -> list[Path]:
 
 
 def count_people(path: Path) -> int | str:
-    """Return how many people a file holds, 0 for what other files need beside them, or why it cannot be read."""
+    """Return the number of people in a file (0 for a companion of other files), or why it cannot be read."""
     try:
         start = read_start(path)
         if any(kind.is_companion(FileStart(start)) for kind in MOTION_FORMATS.values()):
@@ -130,14 +130,14 @@ def count_people(path: Path) -> int | str:
 def pair_up(
     files: Mapping[Path, int], *, units_m: Sequence[float] = (), rate_hz: float | None = None
 ) -> list[MotionFiles]:
-    """Return the motions of files that hold so many people each: partners are told by their names.
+    """Group files into motions, given the number of people in each; partners are recognised by name.
 
-    Two files that are all there is are partners, whatever they are called.
+    If there are only two files, they are partners whatever their names.
 
     Args:
         files: The files, with the number of people in each.
-        units_m: Metres per unit of the files of A, B, ...; the last holds for all after it.  Of a BVH file that was
-            exported with an npz, this knows it.
+        units_m: Metres per unit of the files of A, B, ...; the last holds for all after it.  A BVH file exported with
+            an npz takes its unit from there.
         rate_hz: True frame rate of all files, where they do not state it.
     """
     alone = [path for path, count in files.items() if count == 1]
@@ -160,7 +160,7 @@ def pair_up(
 
 
 def clips_of(folder: Path) -> list[tuple[MotionFiles, MotionFiles | None]]:
-    """Return the clips of the folder of a dataset, each variant with its take, where that is there; none of another.
+    """Return the clips of a dataset's folder, each variant with its take if present; none for any other folder.
 
     Raises:
         InputError: Its table of clips cannot be read.
@@ -185,7 +185,7 @@ def clips_of(folder: Path) -> list[tuple[MotionFiles, MotionFiles | None]]:
 
 
 def source_of(name: str, sources: Sequence[MotionFiles]) -> MotionFiles | None:
-    """Return the source that a motion was made from: the only one, else that whose name its own begins with.
+    """Return the source of a motion: the only one, or the one whose name is a prefix of the motion's name.
 
     >>> source_of("waltz_B-0.80", []) is None
     True
@@ -195,7 +195,7 @@ def source_of(name: str, sources: Sequence[MotionFiles]) -> MotionFiles | None:
 
 
 def check_motion(motion: MotionFiles, original: MotionFiles | None = None) -> Checked:
-    """Read a motion and its source, where it has one, and judge them; what cannot be read says why."""
+    """Read a motion and its source, if it has one, and judge them; report why a file cannot be read."""
     try:
         checked, taken, against = _read(motion, original)
         touch, verdicts = checked.touch(), [taken.judged.take, taken.guessed]
@@ -223,14 +223,14 @@ def check_motion(motion: MotionFiles, original: MotionFiles | None = None) -> Ch
 
 
 def picture_of(motion: MotionFiles, original: MotionFiles | None, checked: Checked) -> Picture:
-    """Return what a player shows of a motion that was checked."""
+    """Return the players of a checked motion."""
     shown, taken, against = _read(motion, original)
     said = f"{checked.name}: {checked.level}" + (f": {checked.reason}" if checked.reason else "")
     return shown.picture(said, taken.figures, against)
 
 
 _HOW_READ = ("source_name", "format", "layout", "rate_hz", "metres_per_unit", "unit_confidence", "up_axis")
-"""What is told of how each person's file was read."""
+"""Reported columns on how each person's file was read."""
 
 
 def _read(
@@ -271,7 +271,7 @@ def _positions(path: Path, clip: ClipRows) -> npt.NDArray[np.float64]:
 
 @lru_cache(maxsize=2)
 def _original(motion: MotionFiles) -> CheckedMotion:
-    """Return a source, which is the same for many motions that follow each other."""
+    """Return a source; consecutive motions mostly share it."""
     taken = read_motion(motion)
     return CheckedMotion(motion.name, taken.people_m, taken.rate_hz)
 

@@ -18,7 +18,7 @@ from tasks.stage import Shard
 
 
 def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
-    """Return what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
+    """Return the arguments of `Store.commit` and `Store.writer` for a shard: its name, its key, and its inputs."""
     places = {ref: at for at, ref in enumerate(shard.all_inputs)}
     return {
         "stage": shard.stage,
@@ -49,8 +49,8 @@ def commit(
 ) -> ArtifactRef:
     """Commit a shard's tables under its key, and the facts that later planning reads.
 
-    A verdict is kept with the facts, for the console and the report; so are those of its parts by name, such as each
-    person of a sequence, for the report and the table of verdicts.  The manifest names the shard's inputs and the
+    The verdict is stored with the facts for the console and the report, as are the named verdicts of parts, such as
+    each person of a sequence, for the report and the table of verdicts.  The manifest names the shard's inputs and the
     artifacts of the shards it follows.
     """
     return store.commit(
@@ -67,7 +67,7 @@ def commit(
 
 
 def join_columns(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the rows of several parts of a table as one, lists as lists and arrays as arrays; no column of no part."""
+    """Concatenate the rows of several parts of a table; lists stay lists, arrays stay arrays."""
     return {
         name: list(chain.from_iterable(part[name] for part in parts))
         if isinstance(parts[0][name], list)

@@ -1,4 +1,4 @@
-"""Contacts as rows: who touches whom, or what, and where, of takes, variants and any other motion of `body22`.
+"""Contacts as rows: which people or objects touch, and where, in takes, variants and any other `body22` motion.
 
 One definition serves the table `contacts` that is exported, `contacts` of a clip, and windows to train on.
 """
@@ -38,7 +38,7 @@ class ContactRows:
         share: Where on the bone (n, 2): 0 at its parent joint, 1 at its child; NaN for an object.
         points_m: Both points (n, 2, 3), on the axes of bones and objects, metres.
         gap_m: Distance of the surfaces there (n,), capsules, metres; negative where they overlap.
-        weight: How much of a contact it is (n,), from 0 to 1, or as stated.
+        weight: Weight of the contact (n,), from 0 to 1, or as stated.
         is_held: Whether it counts as one where there must be a yes or no (n,).
         objects: Names of the objects.
     """
@@ -55,7 +55,7 @@ class ContactRows:
 
     @classmethod
     def of(cls, source: Source, stated: Sequence[UserContact] = ()) -> ContactRows:
-        """Find the contacts of a motion, with those that are stated; none of one person alone without objects."""
+        """Find the contacts of a motion and add the stated ones; one person without objects has none."""
         contacts = source.contacts(tuple(stated))
         frame, at = np.nonzero(contacts.weights > 0.0)
         thing, joints = contacts.objects[frame, at], contacts.bones()[frame, at]
@@ -152,10 +152,10 @@ class ContactRows:
 
 
 def find_contact_rows(store: Store, ref: ArtifactRef, positions_m: npt.NDArray[Any], name: str) -> ContactRows:
-    """Return the contacts of a take or a variant (frame, person, 22, 3), metres, its own.
+    """Return the contacts of a take or a variant (frame, person, 22, 3), metres, in its own motion.
 
-    A contact that is stated, by the study or a built-in duet, stands there in all variants of its take: whether they
-    keep it its gap says.
+    A contact stated by the study or a built-in duet is listed for all variants of its take; its gap shows whether they
+    keep it.
 
     Args:
         store: The store.

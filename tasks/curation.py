@@ -1,8 +1,8 @@
-"""What a person accepted or rejected: a small text file, a line a choice, that a study names.
+"""Choices of a person to accept or reject: a small text file with one choice a line, named by a study.
 
 A choice is about one thing with one content: `reject variants waltz/A-uniform-0.80 3fa9c1d2e4b5 feet slide`.  It
-survives a rebuild that gives the same content; of other content nobody has said anything yet.  A clip of a
-reconstruction is named by its frames, first and last: `reject motions video/fit@120-180 0a12...`.
+survives a rebuild that gives the same content; other content is undecided.  A clip of a reconstruction is named by its
+frames, first and last: `reject motions video/fit@120-180 0a12...`.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ IDENTITY: Mapping[str, tuple[str, ...]] = {
     "annotations": ("sequence_id",),
     "in_betweens": ("sequence_id", "method"),
 }
-"""Tables that choices are about, and the columns that name a thing there."""
+"""Tables whose items can be chosen, and the columns that name an item there."""
 POSITIONS: Mapping[str, str] = {
     **dict.fromkeys(("variants", "poses", "motions"), "body22_m"),
     **dict.fromkeys(("lifted_pairs", "draws", "seeds", "in_betweens"), "pair17_m"),
     "annotations": "pair17_px",
 }
-"""The column that is the content of such a thing."""
+"""The column with the content of such an item."""
 CLIPPED = ("motions",)
-"""Tables of which clips are things, too."""
+"""Tables whose clips can be chosen, too."""
 SECTION = "curation"
 UNDECIDED = "undecided"
 _CLIP = re.compile(r"(.+)@(\d+)-(\d+)")
@@ -84,12 +84,12 @@ class Choice:
 
     @property
     def about(self) -> str:
-        """Return what it is about, content aside."""
+        """Return its subject, without the content."""
         return f"{self.table} {self.name}"
 
     @property
     def words(self) -> str:
-        """Return what was decided, and why."""
+        """Return the decision and its reason."""
         return f"{self.decision}ed{f': {self.reason}' if self.reason else ''}"
 
     @property
@@ -105,7 +105,7 @@ def content_of(values: Any) -> str:
 
 
 def read_choices(path: Path) -> dict[str, Choice]:
-    """Return the choices of a file by what they are about; none where there is no file.
+    """Return the choices of a file by their subject; none if there is no file.
 
     Raises:
         InputError: A line is none: names the file and the line.
@@ -129,7 +129,7 @@ def read_choices(path: Path) -> dict[str, Choice]:
 
 
 def write_choices(path: Path, choices: Iterable[Choice]) -> None:
-    """Write a file of choices, in order, after the comments that it has: two new files of the same are the same."""
+    """Write a file of choices in order, keeping its comments at the top; equal choices give equal files."""
     path.parent.mkdir(parents=True, exist_ok=True)
     there = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     comments = [f"{line}\n" for line in there if line.startswith("#") and f"{line}\n" != _HEADER]
@@ -159,7 +159,7 @@ def choices_in(path: Path) -> dict[str, str]:
 
 
 def choices_for(store: Store, reference: Reference, file: Path | None = None) -> dict[str, str]:
-    """Return choices as a study has them: of this file, else of a study as its file says now, of a dataset as it was.
+    """Return choices as a study has them: from this file, a study's current file, or as released with a dataset.
 
     Raises:
         InputError: The file is not there, or holds something else.
@@ -225,7 +225,7 @@ def clip_of(name: str) -> tuple[str, tuple[int, int] | None]:
 
 
 def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
-    """Return which rows (row,) are of a thing; of a clip those of its frames.
+    """Return which rows (row,) belong to an item; for a clip, those in its frames.
 
     Args:
         data: The rows; their frames are needed where the name is that of a clip.
@@ -292,14 +292,14 @@ def names_left_out(store: Store, reference: Reference, choices: Mapping[str, str
 
 
 def without(data: TableData, names: Collection[str]) -> TableData:
-    """Return the rows that are of nothing with one of these names."""
+    """Return the rows that belong to no item with one of these names."""
     if not names or data.table.name not in IDENTITY:
         return data
     return TableData(TABLES[data.table.name], data.rows.take(rows_without(data, names)))
 
 
 def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
-    """Return which rows (n,) are of nothing with one of these names."""
+    """Return which rows (n,) belong to no item with one of these names."""
     if not names:
         return np.arange(data.num_rows)
     row_names = names_of(data)
@@ -310,7 +310,7 @@ def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
 
 
 class Choosing:
-    """A file of choices, read again before each change: two people, or a person and an editor, lose nothing.
+    """A file of choices. It is read again before each change, so that concurrent edits are not lost.
 
     Raises:
         InputError: The file holds something else.

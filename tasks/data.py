@@ -109,7 +109,7 @@ class Clip:
 
     @cached_property
     def _contacts(self) -> Contacts:
-        """What a player marks: of a variant the contacts of its source."""
+        """Contacts that a player marks; for a variant, those of its source."""
         if self.source is not None and self.part is not None:
             return self.source._source.contacts(batch_of(self.part).contacts)
         return self._source.contacts(TakeFacts.of(self.take).contacts)
@@ -196,16 +196,16 @@ class Pairs:
 
 
 class Data:
-    """What studies have put into a store; `where` is `study`, `study/partition` or `dataset@version`.
+    """The results of studies in a store; `where` is `study`, `study/partition` or `dataset@version`.
 
-    What somebody rejected is left out, as in exports.
+    Rejected items are left out, as in exports.
 
     Args:
         store: Store or its folder.
         curation: File of choices; those of the study or dataset where none is given.
 
     Raises:
-        UnknownReference: What is asked for is not there; says what is.
+        UnknownReference: The requested table is not there; the message lists what is.
         InputError: The file of choices is not there, or holds something else.
     """
 
@@ -217,14 +217,14 @@ class Data:
             choices_in(self._curation)
 
     def left_out(self, reference: str) -> Collection[str]:
-        """Return the names (`tasks.curation`) of what is rejected of what a reference names."""
+        """Return the names (`tasks.curation`) of the rejected items of a reference."""
         parsed = parse_reference(reference)
         if parsed.table not in IDENTITY:
             return ()
         return names_left_out(self.store, parsed, choices_for(self.store, parsed, self._curation))
 
     def table(self, reference: str, columns: Sequence[str] | None = None) -> TableData:
-        """Return rows as `storage_schema.open_table` does, but those of what is rejected."""
+        """Return rows as `storage_schema.open_table` does, without those of rejected items."""
         left_out = self.left_out(reference)
         if not left_out:
             return open_table(reference, self.store, columns=columns)
@@ -248,7 +248,7 @@ class Data:
     def pairs(self, reference: str, *, count: int | None = None, all_methods: bool = True) -> Pairs:
         """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread.
 
-        Of lifted pairs those of every method, or of the best for each annotation (`tasks.products`).
+        For lifted pairs, return those of every method, or of the best one for each annotation (`tasks.products`).
 
         Raises:
             InputError: The table has no pairs, or the count is no whole number of 1 or more.
@@ -274,7 +274,7 @@ class Data:
         return Pairs(reference, np.concatenate(pairs_m), np.concatenate(kept))
 
     def pictures(self, reference: str) -> list[Picture]:
-        """Return what a player shows of a reference, a dozen clips at most; nothing of tables that hold no people."""
+        """Return the players of a reference, a dozen clips at most; none for tables without people."""
         table = parse_reference(reference).table
         if table in _OF_PAIRS:
             return [self.pairs(reference, count=_MAX_SHOWN, all_methods=False).picture]

@@ -1,4 +1,4 @@
-"""What comes over a network, when a user asks for it: bounded, and from public hosts where a study names them."""
+"""Downloads that a user asks for: limited in size, and only from public hosts if a study names the address."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class FetchError(PasdedeuxError):
 
 
 def download(url: str, *, max_bytes: int, is_public: bool = False) -> bytes:
-    """Return a whole file, asked for again a few times when the network fails; no message has words of the answer.
+    """Return a whole file, retrying a few times if the network fails; messages never quote the response.
 
     Args:
         url: Address.
         max_bytes: A larger file is refused, whether or not the site states its length.
-        is_public: Whether only https to hosts of the internet is spoken, also where the site leads on to another.
+        is_public: Allow only https to hosts on the internet, also after redirects.
 
     Raises:
         FetchError: It does not come, or is larger.
@@ -43,9 +43,7 @@ def download(url: str, *, max_bytes: int, is_public: bool = False) -> bytes:
                 data = bytes(answer.read(max_bytes + 1))
                 if len(data) > max_bytes:
                     raise FetchError(f"{url} is larger than {max_bytes / 1e6:.0f} MB")
-                if getattr(
-                    answer, "length", None
-                ):  # a read of at most so many bytes does not say that the answer was cut off
+                if getattr(answer, "length", None):  # a read with a limit does not report that the response was cut off
                     raise IncompleteRead(data, answer.length)
                 return data
         except urllib.error.HTTPError as error:
@@ -85,17 +83,17 @@ def check_host(url: str) -> None:
 
 
 def is_public_ip(ip: str) -> bool:
-    """Tell whether an address that a host's name stands for is one of the internet."""
+    """Tell whether an address of a host is on the internet."""
     address = ip_address(ip.partition("%")[0])
     mapped = getattr(address, "ipv4_mapped", None)
     return (mapped or address).is_global and not address.is_multicast
 
 
 class PublicRedirects(urllib.request.HTTPRedirectHandler):
-    """Follows a site to public hosts only."""
+    """Follows redirects to public hosts only."""
 
     def redirect_request(self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Any:
-        """Refuse another address, else go on."""
+        """Refuse a redirect to another kind of address; otherwise follow it."""
         try:
             check_host(newurl)
         except InputError:
@@ -106,7 +104,7 @@ class PublicRedirects(urllib.request.HTTPRedirectHandler):
 
 
 class _PublicHandler(urllib.request.HTTPSHandler):
-    """Speaks with addresses of the internet only, whatever a name stands for."""
+    """Connects to addresses on the internet only, whatever a name resolves to."""
 
     def https_open(self, req: Any) -> Any:
         """Open the connection, by the handler's own class."""
@@ -114,7 +112,7 @@ class _PublicHandler(urllib.request.HTTPSHandler):
 
 
 class _PublicConnection(HTTPSConnection):
-    """A connection that ends before a word is said where its other side is in a network of one's own."""
+    """A connection that closes before sending anything if its peer is in a private network."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)

@@ -43,7 +43,7 @@ class DrawSet:
 
     @property
     def in_order(self) -> np.ndarray:
-        """Pairs as chains that run side by side found them: the first of every chain, then the second, ..."""
+        """Pairs in the order of chains that run side by side: the first of every chain, then the second, ..."""
         return np.asarray(self.pairs_m[np.argsort(self.numbers, kind="stable")])
 
     def reference(self, draw: int) -> str:
@@ -52,7 +52,7 @@ class DrawSet:
 
 
 def reference_to(table: str, ref: ArtifactRef) -> str:
-    """Return the reference of an artifact's part of a table by its content: keys come and go, and are in no table."""
+    """Return the reference to an artifact's part of a table, by content: keys change and are in no table."""
     return f"{table}@{ref.content_digest[:16]}"
 
 
@@ -67,7 +67,7 @@ def is_set(manifest: Manifest) -> bool:
 
 
 def is_chain(manifest: Manifest) -> bool:
-    """Tell whether an artifact has draws of one chain, not of short ones from many pairs."""
+    """Tell whether an artifact has draws of one chain, not of short chains from many pairs."""
     return "draws" in manifest.tables and not DrawFacts.of(manifest).num_starts
 
 

@@ -90,7 +90,7 @@ class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSetti
         return REPAIRED if self.starts == "every" else ""
 
     def named(self) -> dict[str, ChainsParameters]:
-        """Return the settings of all chains by the name that draws are kept under, each with one density."""
+        """Return the settings of all chains, each with one density, by the name under which their draws are stored."""
         base = {f"{name}{self._end}": self.model_copy(update={"densities": (name,)}) for name in self.densities}
         swept = {
             name: settings.model_copy(update={"densities": settings.densities[:1]})
@@ -100,7 +100,7 @@ class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSetti
 
 
 class ChainSegmentParameters(Parameters):
-    """What decides the draws of one segment of a chain, and nothing else: asking for more draws extends."""
+    """Exactly what determines the draws of one segment, so that a request for more draws extends the chain."""
 
     name: str = Field(description="Name that draws are kept under: that of the density, or of the sweep")
     density: str
@@ -126,7 +126,7 @@ class RepairParameters(Parameters):
 
 
 class SummaryParameters(Parameters):
-    """What decides the summary of the chains of one density and seed."""
+    """Parameters that determine the summary of the chains of one density and seed."""
 
     name: str
     seed_index: int

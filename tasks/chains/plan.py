@@ -32,7 +32,7 @@ Inputs = dict[str, Sequence[Manifest]]
 def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     """Plan, per density and seed, the segments of every chain and then a summary; or the repair of hundreds of pairs.
 
-    A segment's key knows its chain and number but not how many draws are asked for, so asking for more extends.
+    A segment's key contains its chain and number but not the number of draws, so a request for more extends the chain.
 
     Raises:
         InputError: Only densities of annotations are asked for and there are none, or chains are to start from every
@@ -60,7 +60,7 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
 
 
 def _read_by(density: str, inputs: StageInputs) -> Inputs | None:
-    """Return what a density reads beside a seed and joint limits; None where a study has not got it."""
+    """Return the artifacts that a density reads besides a seed and joint limits; None if a study lacks them."""
     if not DENSITIES[density].reads_annotations:
         return {}
     annotations = annotated_pairs(inputs)

@@ -48,7 +48,7 @@ MIN_PLAUSIBLE_SHARE = 0.9
 _NUM_HYPOTHESES = 4
 """Likeliest view hypotheses of an annotation that are used."""
 _ONE_VIEW_RAD = float(np.deg2rad(15.0))
-"""Views that spread less are one view: guesses of a view are some 10 degrees off."""
+"""Views closer together than this count as one: estimated views are about 10 degrees off."""
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -209,7 +209,7 @@ def _nearest(evidence: AnnotationEvidence, pairs_m: np.ndarray) -> dict[str, Any
 
 @dataclass(frozen=True)
 class ChainProblem:
-    """A seed, the target round it, the proposal that is to sample it, and what it was made from."""
+    """A seed, the target around it, the proposal that samples it, and the artifacts it was made from."""
 
     seed: SeedRow
     chart: PairChart
@@ -248,7 +248,7 @@ def chain_problem(shard: Shard, options: ChainSegmentParameters, store: Store) -
 
 @dataclass(frozen=True)
 class AnnotationEvidence:
-    """What the annotations say about pairs near one seed; nothing but the likelihood where they are not read.
+    """Evidence of the annotations about pairs near one seed; only the likelihood if annotations are not read.
 
     `places` are sequence and frame of each entry of the annotations.
     """
@@ -261,7 +261,7 @@ class AnnotationEvidence:
     num_skipped: int = 0
 
     def note(self) -> str:
-        """Say what is unusual about the annotations; nothing when all is well."""
+        """Describe anything unusual about the annotations; empty if there is nothing."""
         notes = []
         if 0 < self.num_annotations < MIN_CANDIDATES:
             count = f"{self.num_annotations} annotations are" if self.num_annotations > 1 else "1 annotation is"
@@ -292,7 +292,7 @@ def _evidence(
     *,
     needs_speeds: bool,
 ) -> AnnotationEvidence:
-    """Return what the annotations say about pairs near a seed.
+    """Return the evidence of the annotations about pairs near a seed.
 
     This reads every annotation; the segments that one worker runs in a row mostly share it.
     """
@@ -313,7 +313,7 @@ def _evidence(
 
 @kept()
 def _gathered(store: Store, annotations: Refs, views: Refs) -> PlacedPairs:
-    """Return the annotated pairs: the same for all seeds, and with what is found out about them once."""
+    """Return the annotated pairs, which are the same for all seeds, with everything computed from them once."""
     return gather(store, annotations=annotations, views=views, num_hypotheses=_NUM_HYPOTHESES)
 
 

@@ -44,11 +44,11 @@ QUALITY_COLUMNS = {
     "estimated_gap_m": "m",
     **{name: one.unit for name, one in FIGURES.items() if one.kind == "float" and name != _FK_DRIFT},
 }
-"""Columns of a variant's quality that are scored, with their units."""
+"""Scored columns of a variant's quality, with their units."""
 _SAMPLE_S = 1.0
 """Seconds in the middle of a take that are also solved with guaranteed descent."""
 _SAMPLE_VARIANTS = 2
-"""Variants of a take that are, evenly spread."""
+"""Variants of a take that are solved this way too, evenly spread."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -136,7 +136,7 @@ def _draw(shown: _ShownAugmentation) -> Iterator[Picture]:
 
 
 def _furthest_from_1(scales: np.ndarray) -> float:
-    """Return the one furthest from 1 of scales (person,); NaN where one is NaN, as scales that are not uniform are.
+    """Return the scale (person,) furthest from 1; NaN if one is NaN, as scales that are not uniform are.
 
     >>> _furthest_from_1(np.array([1.0, 0.8, 1.0]))
     0.8
@@ -177,11 +177,12 @@ def quality_scores(columns: Mapping[str, npt.NDArray[Any]], *, item: str) -> lis
 
 @dataclass(frozen=True)
 class ContactDrifts:
-    """How far contacts of variants come from their distance, metres.
+    """Change of the contact distances of variants, metres.
 
     Args:
-        is_hand: Whether a contact is of hands or feet, (contact,); one for each frame that it is held in.
-        frames: That frame, (contact,).
+        is_hand: Whether a contact is of hands or feet, (contact,); a contact counts once for each frame in which it
+            holds.
+        frames: The frame of each contact, (contact,).
         found_m: By method, the drifts of each variant (variant, contact).
     """
 
@@ -191,10 +192,10 @@ class ContactDrifts:
 
 
 def contact_drifts(contacts: Contacts, source: Source, variants: Iterable[tuple[Array, Array]]) -> ContactDrifts:
-    """Return how far contacts of hands and feet, and of bodies, come from their distance, beside plain FK.
+    """Return how far contact distances change, of hands and feet and of bodies, beside plain FK.
 
     Args:
-        contacts: Those of the take: known ones where it has such, otherwise those found.
+        contacts: Contacts of the take: the stated ones if it has any, otherwise those found.
         source: The take.
         variants: Scales (P, 22) and motion (T, P, 22, 3) of each.
     """
@@ -231,7 +232,7 @@ def gap_scores(
     *,
     item: str,
 ) -> list[Score]:
-    """Return how far the bulk solver ends from guaranteed descent on a sample, beside its own estimate of that.
+    """Return the distance of the bulk solver's result from guaranteed descent on a sample, beside its own estimate.
 
     The sample is the second in the middle of the take, for the first and the last variant.
 

@@ -1,4 +1,4 @@
-"""Topic `chains`: how the Markov chains went, and what some of their draws look like."""
+"""Topic `chains`: diagnostics of the Markov chains, and pictures of some draws."""
 
 from __future__ import annotations
 

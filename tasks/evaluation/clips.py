@@ -38,7 +38,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 class _ShownClips(NamedTuple):
-    """The first seconds of a sequence, thinned out: keypoints (frame, person, 14, 2), pixels, times, and image size."""
+    """The first seconds of a sequence, thinned out: keypoints (frame, person, 14, 2), pixels, times, image size."""
 
     sequence_id: str
     keypoints_px: np.ndarray
@@ -76,7 +76,7 @@ def _draw(shown: _ShownClips) -> Iterator[Picture]:
 
 
 def _image(keypoints: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple[int, int]]:
-    """Return keypoints and an image size; an unknown size is made to hold every keypoint."""
+    """Return keypoints and an image size; an unknown size is chosen to contain every keypoint."""
     if np.isfinite(width) and np.isfinite(height):
         return keypoints, (int(width), int(height))
     finite = keypoints[np.isfinite(keypoints).all(axis=-1)]

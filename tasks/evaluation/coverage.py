@@ -1,4 +1,4 @@
-"""Topic `coverage`: how well draws cover real pairs (Yin et al. 2018, eq. 13), beside so many real frames."""
+"""Topic `coverage`: how well draws cover real pairs (Yin et al. 2018, eq. 13), beside real frames."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
 
 
 class _Dots(NamedTuple):
-    """Draws of a set on the map: those on any panel made ready, and by panel which of them are on it."""
+    """Draws of a set on the map: the prepared draws of all panels, and the rows of each panel."""
 
     table: PairTable
     of_panel: dict[int, npt.NDArray[np.intp]]
@@ -194,7 +194,7 @@ def _draw(shown: _ShownCoverage) -> Iterator[Picture]:
 def _ready_draws(
     store: Store, refs: tuple[ArtifactRef, ...]
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots], list[str]]:
-    """Return all sets of draws, made ready for all shards of a worker if they are few enough, dots, and baselines."""
+    """Return all sets of draws, prepared for all shards of a worker if they are few enough, dots, and baselines."""
     drawn, first = read_draw_sets(store, refs), draws_from_first_seeds(store, refs)
     in_order = {name: found.in_order for name, found in drawn.items()}
     most = max(map(len, in_order.values()), default=0)

@@ -1,4 +1,4 @@
-"""Topic `detector`: what a simulated detector costs, beside the same video with the same noise alone."""
+"""Topic `detector`: the loss of accuracy by a simulated detector, beside the same video with the same noise alone."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[None]:
-    """Score one sequence: who is who, and the error of each person by the last method."""
+    """Score one sequence: the identities of people, and the error of each person by the last method."""
     annotations, takes = shard.refs("annotations"), shard.refs("takes")
     facts = SequenceFacts.of(store.manifest(annotations[0]))
     (settled,) = (one for one in facts.detected if one.sequence_id == shard.name)

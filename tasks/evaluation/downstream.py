@@ -28,7 +28,7 @@ from tasks.training.run import refuse_without_torch
 BY_SOLVER, BY_MODEL, WITHOUT = "augmented_by_solver", "augmented_by_model", "without_augmentation"
 STILL, LARGEST, TRUTH = "last_pose_held", "largest_class", "truth"
 BASELINES = (WITHOUT, STILL, LARGEST)
-"""What learning with variants has to beat."""
+"""Baseline that learning with variants has to beat."""
 HORIZONS_S = (0.2, 0.4, 0.6, 0.8, 1.0)
 _SHARES = {"80/10/10": (0.8, 0.1), "50/20/30": (0.5, 0.3)}
 """Shares of the takes of every interaction for training and test; the rest is for validation, which nothing here uses,
@@ -41,14 +41,14 @@ _METHODS = (BY_SOLVER, BY_MODEL, WITHOUT, STILL, TRUTH, SOLVER, GENERATED, LARGE
 _JUDGED = {BY_SOLVER: "", BY_MODEL: "model"}
 """Names of the criteria by what they judge."""
 _ASKED = {BY_SOLVER: SOLVER, BY_MODEL: GENERATED}
-"""What the variants of test takes are called that a classifier is asked about; further models' have their own names."""
+"""Name of the solver's variants of test takes, which a classifier recognises; those of models have their own."""
 
 Clips = Mapping[str, Array]
 """Clips (n, T, 2, 22, 3), metres, by interaction."""
 
 
 class OneTraining(Parameters):
-    """One repetition: which shares, with which seed, and models beside the solver with the takes that they saw."""
+    """One repetition: its shares and seed, and the models beside the solver with the takes that they saw."""
 
     shares: str
     seed: int
@@ -127,9 +127,9 @@ def _plan_prediction(inputs: StageInputs, settings: LearnedSettings) -> list[Sha
 
 
 def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
-    """Train a classifier on each training set and test it on clips of other takes; ask one what variants of these are.
+    """Train a classifier on each training set; test it on clips of other takes, and one on variants of these.
 
-    That one learned from real clips alone (table 6 of the paper).
+    The latter learned from real clips alone (table 6 of the paper).
     """
     repetition = _Repetition(shard, store)
     from pasdedeux.learning.networks.clip_classifier import train_classifier  # torch
@@ -160,13 +160,13 @@ def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
 
 
 def _with_roles(clips: Clips) -> Clips:
-    """Return the clips, and with A and B exchanged those of another class."""
+    """Return the clips; those with A and B exchanged form another class."""
     return {**clips, **{f"{kind}, exchanged": exchange(some) for kind, some in clips.items()}}
 
 
 def _predict(shard: Shard, store: Store) -> TopicResult[None]:
     """Train a predictor on each training set, and test it on clips of other takes."""
-    # A take that is shorter than a clip has none: what is held still there would be a motion to predict.
+    # A take shorter than a clip has none: a pose held still at its end would count as motion to predict.
     repetition = _Repetition(shard, store, num_frames=HISTORY + HORIZON, frame=HISTORY - 1, is_held=False)
     from pasdedeux.learning.networks.motion_predictor import train_predictor  # torch
 
@@ -195,7 +195,7 @@ def _predict(shard: Shard, store: Store) -> TopicResult[None]:
 
 
 class _Repetition:
-    """The takes and clips of one repetition; clips are cut as `clips_of` is told."""
+    """The takes and clips of one repetition, cut with the arguments of `clips_of`."""
 
     def __init__(self, shard: Shard, store: Store, **cut: Any) -> None:
         refuse_without_torch(f"the topic {shard.partition}", "evaluation.num_downstream_seeds=0")
@@ -211,11 +211,11 @@ class _Repetition:
 
     @property
     def name(self) -> str:
-        """What is drawn together when one asks how sure a figure is: a training, with all that it was tested on."""
+        """Unit of resampling for intervals: one training with everything it was tested on."""
         return f"{self.options.shares} seed {self.options.seed}"
 
     def stream(self, what: str) -> np.random.Generator:
-        """Return the generator for something, the same for every training set."""
+        """Return the random generator for a purpose, the same for every training set."""
         return stream(self._seed, "evaluation", what, self.options.shares, self.options.seed)
 
     def clips(self, takes: Iterable[Manifest], by: str = WITHOUT, *, has_takes: bool = True) -> Clips:
@@ -236,11 +236,11 @@ class _Repetition:
 
     @cached_property
     def training_sets(self) -> dict[str, Clips]:
-        """The real clips with as many variants of solver and of each model, and alone."""
+        """The training sets: real clips alone, and with equally many variants of the solver and of each model."""
         return {by: self.clips(self.train, by) for by in (*self._variants, WITHOUT)}
 
     def result(self, scores: Sequence[Score], items: Items) -> TopicResult[None]:
-        """Return what a topic found, with what it was found on in words."""
+        """Return the result of a topic, with a description of its data."""
         real, augmented = (_count(self.training_sets[by]) for by in (WITHOUT, BY_SOLVER))
         note = (
             f"{self.name}: {len(self.train)} training takes with {real} clips, and {augmented - real} of their "
@@ -257,7 +257,7 @@ def split_takes(
 ) -> tuple[list[Manifest], list[Manifest]]:
     """Return the takes learned from and tested on, drawn among those of every interaction.
 
-    Held-out takes only test, takes that the model saw do not.
+    Held-out takes are only tested on; takes that the model saw are never tested on.
     """
     learn, judge = _SHARES.get(options.shares, (0.0, _FEW_TEST))
     by_kind: dict[str, list[Manifest]] = {}
@@ -294,7 +294,7 @@ def prediction_scores(jme: Array, ame: Array, method: str, *, split: str, item: 
 
 
 def recognition_tables(scores: Sequence[Score]) -> list[TextTable]:
-    """Return accuracy of each training set with its effect over seeds, and what is recognised of variants."""
+    """Return the accuracy of each training set with its effect over seeds, and the share of variants recognised."""
     captions = {
         "accuracy": "As table 5 of the paper: accuracy of recognition, %",
         "recognised": "As table 6 of the paper: clips, %, that a classifier of real clips recognises",
@@ -309,7 +309,7 @@ def recognition_tables(scores: Sequence[Score]) -> list[TextTable]:
 def prediction_tables(scores: Sequence[Score]) -> list[TextTable]:
     """Return mean errors of each training set with its effect over seeds, and JME and AME of every motion and horizon.
 
-    Motions of one seed share what was trained, so their mean is taken first.
+    Motions of one seed share a trained network, so their mean is taken first.
     """
     tables, methods = [], _METHODS[: _METHODS.index(STILL) + 1]
     for metric in ("JME", "AME"):
@@ -330,7 +330,7 @@ def prediction_tables(scores: Sequence[Score]) -> list[TextTable]:
 
 
 def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
-    """Return the figures of each training set by split, and differences seed by seed; none where there is none."""
+    """Return the figures of each training set by split, and differences seed by seed; empty without figures."""
     there = {score.method for score in scores}
     methods = [method for method in (*_METHODS, *sorted(there.difference(_METHODS))) if method in there]
     made = [method for method in methods if method.startswith(_BY)]

@@ -1,4 +1,4 @@
-"""Topic `film`: what is seen in film and what was made of it, image by image, with faces blurred."""
+"""Topic `film`: images of a film and their reconstruction, with faces blurred."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[Picture]]:
-    """Show what was drawn as a shot was read; say where its keypoints come from and what was left out."""
+    """Show the images drawn when a shot was read; describe the source of its keypoints and what was left out."""
     ref = shard.ref("film")
     name = store.manifest(ref).partition
     frames = read_annotation_csv(store.attachment(ref, ANNOTATIONS_NAME))

@@ -68,7 +68,7 @@ class _ShownGeneration(NamedTuple):
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
-    """Score what was generated for every test take; as a distribution where the study asks for these."""
+    """Score the motions generated for every test take; also as a distribution if the study asks for this."""
     facts, settings = ModelFacts.of(store.manifest(shard.ref("model"))), shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
     variants = StoredVariants(store, shard.refs("takes"), (*shard.refs("generated"), *shard.refs("solved")))
@@ -147,15 +147,15 @@ def distribution_scores(
 ) -> list[Score]:
     """Return FID, KID, density, coverage and diversity of motions beside one half of the real clips of their takes.
 
-    Each method has a clip for every one of the other half, of the same time, so all are equally many.  Of several
-    motions of a take, each such set has another one in turn, and figures are means over the sets.
+    Each method has a clip at the time of every clip of the other half, so all sets have the same size.  If a take has
+    several motions, each set takes the next one in turn, and figures are means over the sets.
 
     Args:
         classifier: Gives the features.
         real: Clips (n, 20, 2, 22, 3), metres, of every take.
         kinds: Interaction of every take.
         made: By method the clips of the motions of each take that is scored.
-        generator: Deals the halves and the strangers.
+        generator: Draws the halves and the strangers.
         split: Split of the scores.
     """
     scored = sorted(set.union(*(set(found) for found in made.values())))

@@ -16,7 +16,7 @@ from tasks.takes import read_motion
 
 @dataclass(frozen=True)
 class TruePair:
-    """Both people behind an annotated pair as captured (2, joint, 3), metres, in which take and when in it."""
+    """Both people of an annotated pair as captured (2, joint, 3), metres, with their take and the frame in it."""
 
     take_id: str
     time_s: float
@@ -45,7 +45,7 @@ class GroundTruth:
     def read(
         cls, store: Store, takes: Sequence[ArtifactRef], annotations: Sequence[ArtifactRef], *, column: str = "pair17_m"
     ) -> GroundTruth:
-        """Read a positions column of these takes, and what these annotations show; skip videos of one's own."""
+        """Read a positions column of these takes, and the frames of these annotations; skip the user's own videos."""
         facts = {take.take_id: take for take in TakeFacts.read(store, takes)}
         frames: dict[tuple[str, int], tuple[str, int]] = {}
         for ref in annotations:
@@ -73,7 +73,7 @@ class GroundTruth:
     def pair(self, place: PairPlace) -> TruePair | None:
         """Return the pair behind an annotated pair.
 
-        None where it is not known: no virtual video, a take that was not read, or somebody who is not of it.
+        None if it is unknown: not a virtual video, a take that was not read, or a person who is not in it.
         """
         take_id, frame = self.frames.get((place.sequence_id, place.frame), ("", 0))
         take = self.takes.get(take_id)

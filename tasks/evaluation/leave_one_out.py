@@ -1,4 +1,4 @@
-"""Topic `leave_one_out`: how near draws come in 2D to annotations that they were not made from, and a map of these.
+"""Topic `leave_one_out`: the distance in 2D of draws to annotations that they were not made from, and a map of these.
 
 This needs no ground truth: where draws reach what people really do, an unused image has a draw that looks like it (the
 goal that Yin et al. 2018 state).
@@ -52,11 +52,11 @@ _NUM_JUDGED = 24
 """Annotations of each part that are judged, at most, evenly spread."""
 _NUM_HYPOTHESES = 4
 _MIN_APART = 10
-"""Frames of a video between an unused annotation and those that draws were made from, at least: else it is the same
-image."""
+"""Least number of frames between an unused annotation and those that draws were made from; closer ones show the same
+pose."""
 _MAX_DRAWS, _MAX_KNOWN = 20_000, 400
 _NUM_VIEWS = 100
-"""Views of annotations from which draws are seen too, at most: the nearest annotation keeps its own view."""
+"""Views of annotations under which draws are projected too, at most; the nearest annotation keeps its own view."""
 _COUNTS = (10, 100, 1_000, 10_000)
 _NUM_MAPPED, _NUM_UNUSED_MAPPED = 150, 40
 _NUM_DRAWN = 14
@@ -128,7 +128,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLeaveOneOut]:
         chosen = some_of(list(every.values()), _NUM_JUDGED)
         if not chosen or not known:
             continue
-        # The view of an image is estimated, and 14 degrees off: with it alone, real frames lose to the annotations.
+        # The view of an image is estimated, with an error of 14 degrees: alone, real frames would lose to the
+        # annotations.
         images, directions = _images(chosen), [np.concatenate([seen.directions, views]) for seen in chosen]
         curves[split] = {name: nearest_curve(images, directions, pairs) for name, pairs in draws.items()}
         curves[split][_NEAREST] = {len(known): np.nanmin(image_distances(images, _images(known)), axis=1)}
@@ -167,7 +168,7 @@ def _draw(shown: _ShownLeaveOneOut) -> Iterator[Picture]:
 def _takes_and_times(
     facts: Sequence[SequenceFacts], truth: GroundTruth, places: Sequence[PairPlace], stills: Collection[str]
 ) -> tuple[list[str], list[float]]:
-    """Return the take of each image and its time there, seconds; each still of one's own is a moment of its own."""
+    """Return the take of each image and its time there, seconds; each of a user's stills is a moment of its own."""
     rates_hz = {name: fact.rate_hz for fact in facts for name in fact.sequence_ids}
     takes, times_s = [], []
     for sequence_id, frame, *_ in places:
@@ -194,7 +195,7 @@ def _notes(unused: Mapping[str, Collection[PairPlace]], curves: Collection[str])
 def _apart(
     left_out: Mapping[PairPlace, SeenPair], used: Collection[PairPlace], stills: Collection[str]
 ) -> dict[PairPlace, SeenPair]:
-    """Return those of a video that are far enough from every frame that is used, and all stills."""
+    """Return the frames of a video that are far enough from every used frame, and all stills."""
     frames: dict[str, list[int]] = {}
     for place in used:
         if place.sequence_id not in stills:
@@ -214,7 +215,7 @@ def _images(pairs: Sequence[SeenPair]) -> Array:
 def nearest_curve(
     images_m: Iterable[Array], directions: Sequence[Array], pairs_m: npt.NDArray[np.floating]
 ) -> NearestCurve:
-    """Return how near draws come to images, as draws grow in number.
+    """Return the least distance of draws to images as a function of the number of draws.
 
     Args:
         images_m: Images (person=2, joint=17, 2), metres; NaN where a joint is not seen.
@@ -226,13 +227,13 @@ def nearest_curve(
     for count in [*(count for count in _COUNTS if count < len(pairs_m)), len(pairs_m)]:
         index = DrawIndex(pairs_m[:count])
         near = [nearest_by_image(index, *seen)[1][0] for seen in zip(images_m, directions, strict=True)]
-        # The nearest of few is among many too; that d_I is computed of some only must not hide it.
+        # The nearest among few draws is one of many, too: computing d_I for some draws only must not lose it.
         nearest[count] = least = np.minimum(least, near)
     return nearest
 
 
 def nearest_draw_scores(curves: Mapping[str, NearestCurve], *, split: str) -> list[Score]:
-    """Return how near draws of each method come to the annotations, of all draws and as they grow in number."""
+    """Return the least distance of each method's draws to the annotations, for all draws and by their number."""
     scores = summarise({name: list(curve.values())[-1] for name, curve in curves.items()}, _METRIC, "m", split=split)
     for method, curve in curves.items():
         points = curve.items() if len(curve) > 1 else ()

@@ -44,7 +44,7 @@ from tasks.takes import takes_of
 
 _BASELINES = (*BASELINES["lifted_pairs"], *BASELINES["in_betweens"], "nearest_draw")
 _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"
-"""What is judged beside the lifted pairs."""
+"""Results judged besides the lifted pairs."""
 _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHOWN = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted", "over_time")
@@ -60,7 +60,7 @@ K = TypeVar("K", str, tuple[str, str])
 
 
 class LiftedPairsSettings(Parameters):
-    """What is completed to be scored."""
+    """Settings of the completion of joints and frames that is scored."""
 
     num_completed_pairs: int = Field(
         12, ge=0, description="Real pairs of each part in which joints are hidden and completed from draws; 0: none"
@@ -104,7 +104,7 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
-    """Score or show one of the four."""
+    """Compute one of the four kinds of shards."""
     kinds = {"lifted": _lifted, "nearest": _nearest, "completed": _completed, "between": _between}
     return kinds[shard.name](shard, store)
 
@@ -136,7 +136,7 @@ def _draw(shown: _ShownLifting) -> Iterator[Picture]:
 
 
 def _lifted(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
-    """Score lifted pairs and frames between them, and what was expected of their errors; show some of each part."""
+    """Score lifted pairs, frames between them and their expected errors; show some of each part."""
     truth = GroundTruth.read(store, shard.refs("takes"), shard.refs("annotations"))
     rows = [row for ref in shard.refs("lifted") for row in _read_lifted(store, ref, truth)]
     tables = {table for ref in shard.refs("lifted") for table in store.manifest(ref).tables}
@@ -288,7 +288,7 @@ def _label(place: PairPlace, expected_m: Sequence[float]) -> str:
 
 def _row(seen: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIndex) -> list[tuple[str, Array]]:
     """Return a lifted pair's image, itself, its nearest annotations and draws (2, 17, 2), each with its words."""
-    # From its left: what was towards the camera is on the right.
+    # Seen from its left, so that the camera is on the right.
     row = [("image", seen.image_m), ("lifted", pair_m[..., :2]), ("from the side", pair_m[..., [2, 1]])]
     others = [
         other
@@ -304,7 +304,7 @@ def _row(seen: SeenPair, pair_m: Array, known: Sequence[SeenPair], index: DrawIn
 
 
 def _completed(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
-    """Hide joints of real pairs, and score what is put in their place."""
+    """Hide joints of real pairs, and score their completion."""
     truth, pool, generator = _truth_and_pool(shard, store)
     scores: list[Score] = []
     judged: list[Items] = []
@@ -321,7 +321,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
 
 
 def _between(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
-    """Hide frames of takes, and score what is put in their place."""
+    """Hide frames of takes, and score their completion."""
     truth, pool, _ = _truth_and_pool(shard, store)
     learned = [take for name, take in truth.takes.items() if name not in truth.held_out]
     real = np.concatenate([pool[:0], *learned]).astype(np.float32)
@@ -348,11 +348,11 @@ def _between(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
 
 
 def _truth_and_pool(shard: Shard, store: Store) -> tuple[GroundTruth, np.ndarray, np.random.Generator]:
-    """Return real pairs, the draws that fill in what is hidden, and the generator that chose these."""
+    """Return real pairs, the draws used for completion, and the generator that chose them."""
     truth = GroundTruth.read(store, shard.refs("takes"), ())
     refuse_learned(store, shard.refs("draws"), truth.held_out)
     sets = read_draw_sets(store, shard.refs("draws"))
-    # Neighbouring draws of a chain are alike: a spread of them is enough, grown pairs are all taken.
+    # Neighbouring draws of a chain are alike, so some suffice; all grown pairs are taken.
     generator = stream(shard.seed, TOPIC.name, "completed")
     nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
     grown = sets[GROWN].pairs_m if GROWN in sets else nothing
@@ -369,12 +369,12 @@ def _learned_and_held_out(truth: GroundTruth) -> Iterator[tuple[str, dict[str, A
 
 
 def _held_out(split: str, items: Items) -> list[Items]:
-    """Return items where they are held out; none of others."""
+    """Return the items if they are held out; otherwise none."""
     return [items] if split == "held_out" else []
 
 
 def _spread_places(takes: Mapping[str, Array], count: int, gap: int) -> list[tuple[str, int]]:
-    """Return takes and frames, evenly spread over all takes that are long enough, with so many frames after each."""
+    """Return takes and frames, evenly spread over all takes that have enough frames after them."""
     every = [(name, frame) for name, pairs in takes.items() for frame in range(len(pairs) - gap)]
     return some_of(every, count, has_ends=False)
 

@@ -25,7 +25,7 @@ _CELL_M = np.array([1.75, 2.7])
 
 
 def expected_figure(parts: Mapping[str, tuple[Array, Array]]) -> bytes:
-    """Draw true errors (n,) over expected ones (n, 3), metres, of each part, and what holds 80 %; give SVG bytes."""
+    """Draw true errors (n,) over expected ones (n, 3), metres, of each part, with 80 % intervals; give SVG bytes."""
     figure, ((axis,),) = new_figure(5.8, 3.6)
     for marker, (name, (expected, errors)) in zip("os^D", parts.items(), strict=False):
         label = part_in_words(name)

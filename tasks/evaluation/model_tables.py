@@ -21,7 +21,7 @@ LARGEST_SCALE = 1.25
 AT_LARGEST = f" at {LARGEST_SCALE}"
 _PUBLISHED = ("E_r", "E_b", "JPD")
 _STILL_FALLS = 1.0
-"""Percent by which validation falls in the last segment of a training that ended too early."""
+"""If the validation error falls by more than this in the last segment, percent, training ended too early."""
 
 
 def _without_seed(score: Score) -> str:
@@ -111,7 +111,7 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
 
 
 def _values(metrics: Sequence[str]) -> Callable[[Sequence[Score]], str]:
-    """Return what writes the scores of a cell in the order of these metrics."""
+    """Return a function that writes the scores of a cell in the order of these metrics."""
     return lambda found: " / ".join(
         {one.metric: f"{one.value:.2f}" for one in found}.get(name, "-") for name in metrics
     )

@@ -35,7 +35,7 @@ from tasks.training.items import StoredVariants, frame_errors, interactions_of
 from tasks.training.run import load_stored
 
 _DRAWS = 10
-"""Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
+"""Motions drawn for each take by a model that draws scales, as in table 3 of the paper."""
 _SCALE_STEP = 0.05
 _OF_LOG = ("model", "step", "quantity", "value")
 _OTHER_SKELETON = "Models and figures are for the skeleton {}; surfaces are not measured."

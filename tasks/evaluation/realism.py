@@ -1,4 +1,4 @@
-"""Topic `realism`: what models predict as a distribution beside the solver's, seen by a classifier of real clips."""
+"""Topic `realism`: distributions of predictions beside the solver's, by features of a classifier of real clips."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ OTHER_SKELETON = "other_skeleton"
 
 
 class LearnedSettings(Parameters):
-    """What is judged by networks that are trained for it; needs torch."""
+    """Settings of judgements by networks trained for the purpose; they need torch."""
 
     num_realism_variants: int = Field(
         0, ge=0, description="Test variants of each split, to compare models as distributions"
@@ -54,10 +54,10 @@ class LearnedSettings(Parameters):
 
 
 def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
-    """Plan one shard over all splits and models where there are two interactions to tell apart.
+    """Plan one shard over all splits and models if there are two interactions to distinguish.
 
-    The classifier is one for all splits: one that learned from what a split trains on would not know the interactions
-    that splits across these test, and features of two classifiers have no distances in common.
+    All splits share one classifier. One trained on the training set of a split would not know the interactions that
+    splits across interactions test, and features of different classifiers cannot be compared.
     """
     models = inputs.of("models")
     takes = takes_of(inputs, 2)
@@ -71,7 +71,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[None]:
-    """Train the classifier on real clips, and look with it at what every model predicts."""
+    """Train the classifier on real clips, and compute its features of every model's predictions."""
     if shard.name == OTHER_SKELETON:
         return TopicResult(notes=[f"Skipped: the clip classifier works on {BODY22.name}, and no model does."])
     settings = shard.options(LearnedSettings)
@@ -101,7 +101,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             made = {name: model.predict(item.request) for name, model in models.items()}
             streams = partial(stream, shard.seed, "evaluation", "drawn", split, take_id, item.variant_id)
             several = generated(models, item.request, streams)
-            # What stands beside models that draw has the scales of each in turn, and so no more clips than they have.
+            # Rivals of models that draw scales take the scales of each in turn, so they have no more clips.
             last = {name: found[len(predicted.get(SOLVER, ())) % len(found)][1] for name, found in several.items()}
             for clips, motions in ((predicted, made), (drawn, last)):
                 for name, motion in {**motions, SOLVER: item.motion_m}.items():
@@ -153,7 +153,7 @@ def real_clips(store: Store, takes: Sequence[Manifest]) -> dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class _Clips:
-    """The clips (n, 20, 2, 22, 3) of one motion: of which interaction, and what they are drawn together with."""
+    """The clips (n, 20, 2, 22, 3) of one motion, with their interaction and their unit of resampling."""
 
     kind: str
     unit: str
@@ -163,7 +163,7 @@ class _Clips:
 def _compare(
     classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], first: list[int], second: list[int], **more: Any
 ) -> list[Score]:
-    """Score what models make of one half of the variants beside what the solver made of the other."""
+    """Score the predictions of one half of the variants beside the solver's results of the other half."""
     scores: list[Score] = []
     real, real_units = _features(classifier, [clips[SOLVER][at] for at in second or first])
     for name, found in clips.items():

@@ -47,7 +47,7 @@ class Reconstructed:
         truth_m: True op14 positions (frame, 14, 3), metres.
         found_m: By method, positions (frame, 14, 3) of the same frames.
         frames: Frames of the sequence (frame,), rising.
-        person_id: Who it is in the sequence.
+        person_id: Id of the person in the sequence.
         takes: Take of each frame.
         times_s: Its time within the take, seconds.
     """
@@ -69,7 +69,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
             continue
         shown, names = MotionFacts.of(motions).sequence_takes, set(MotionFacts.of(motions).sequence_ids)
         annotations = [
-            # Of a take that several cameras saw, that of the first: the motion is in its frames and axes.
+            # If several cameras saw the take, use the first: the motion is in its frames and axes.
             m
             for m in inputs.of("annotations")
             if m.ref in motions.inputs
@@ -102,7 +102,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
         scores += pair_scores(first, second, split=split, item=f"{first.item} with {second.item.split()[-1]}")
     camera = truth.cameras[shard.name]
     scores += _camera_scores(facts, camera, people, film, split=split, item=shard.name)
-    # The database has not seen the take, or this would have been refused: all of it is held out.
+    # The database has not seen the take (otherwise this is refused), so all of it is held out.
     items = {"": reconstruction_items(people)}
     rate_hz = rate_of(read_motion_rows(store, motions)["time_s"])
     shown = _shown(shard.name, people, _read_keypoints(store, annotations, shard.name), camera, rate_hz=rate_hz)
@@ -113,7 +113,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
 def read_reconstructed(
     store: Store, motions: ArtifactRef, annotations: Sequence[ArtifactRef], takes: Sequence[ArtifactRef]
 ) -> tuple[list[Reconstructed], GroundTruth, FilmAlignment | None]:
-    """Return the people of a sequence who are in its take, the ground truth, and of film what aligned it with that.
+    """Return the people of a sequence who are in its take, the ground truth, and for film its alignment with the take.
 
     Raises:
         InputError: A film does not show what its take is said to be.
@@ -133,7 +133,7 @@ def read_reconstructed(
         at = table["frame"][is_person & (table["method"] == next(iter(reconstructed)))]
         seen = [truth.frames[sequence_id, int(frame)] for frame in at]
         if person >= min(truth.takes[take].shape[1] for take, _ in seen):
-            continue  # a passer-by of a simulated detector, or somebody whom it made up
+            continue  # a passer-by of a simulated detector, or a false detection
         true = np.stack([truth.takes[take][frame, person] for take, frame in seen])
         true = true @ truth.cameras[sequence_id].camera_from_world_rotmat.T
         times_s = [truth.time_s(*place) for place in seen]
@@ -145,7 +145,7 @@ def read_reconstructed(
 def _read_film(
     store: Store, annotations: Sequence[ArtifactRef], table: TableData, truth: GroundTruth
 ) -> tuple[list[Reconstructed], GroundTruth, FilmAlignment]:
-    """Return the people of a film at the moments that its take has, the truth with the film's camera, and the clocks.
+    """Return the people of a film at the times of its take, the truth in the film's camera, and the clocks.
 
     Raises:
         InputError: The film does not show the take, or there is no such take.
@@ -183,7 +183,7 @@ def _camera_scores(
     split: str,
     item: str,
 ) -> list[Score]:
-    """Score the camera's pitch, and say of a film how it was aligned with its take."""
+    """Score the camera's pitch, and describe how a film was aligned with its take."""
     pitch_deg = float(np.rad2deg(camera.pitch_rad))
     pitches = {list(people[0].found_m)[-1]: facts.pitch_deg, LEVEL: 0.0}
     scores = [
@@ -213,7 +213,7 @@ def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_i
 def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
     """Score every method: mean errors over op14 with root rotation kept, removed, and free of scale; and jitter.
 
-    `standing_still` is the mean true pose of the motion in every frame, a bound: how much the person moves.
+    `standing_still` is the mean true pose of the motion in every frame, a bound that shows how much the person moves.
     """
     truth = person.truth_m
     still = np.broadcast_to((truth - mid_hip(truth)[:, None]).mean(axis=0), truth.shape)
@@ -239,7 +239,7 @@ def reconstruction_items(people: Sequence[Reconstructed]) -> Items:
 
 
 def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item: str) -> list[Score]:
-    """Score where two people are found relative to each other, over the frames that have both.
+    """Score the places of two people relative to each other, over the frames that have both.
 
     `pair_distance_error` is how far the distance of their mid-hips is off, `pair_place_error` how far the vector
     between them is, `pair_depth_error` its part along the camera's axis.  The baseline
@@ -276,7 +276,7 @@ def _shown(
     *,
     rate_hz: float,
 ) -> ShownMotion:
-    """Return what the last method made of everybody beside the image."""
+    """Return the player of the last method's result for everybody, beside the image."""
     frames = np.unique(np.concatenate([person.frames for person in people]))
     px = np.full((len(frames), len(people), 14, 2), np.nan)
     made, true = np.full((2, len(frames), len(people), 14, 3), np.nan)

@@ -1,4 +1,4 @@
-"""The report: everything that was found as one page, and the dataset card."""
+"""The report: one page with all results, and the dataset card."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tasks.summary import judge, summary_of
 
 PARTITION = "report"
 _OPENING = ("augmentation", "generation", "reconstruction", "lifting", "takes", "clips")
-"""Topics whose moving people the page opens on, the best first."""
+"""Topics whose moving people may open the page, the best first."""
 _STAGES = {"takes": "ingest", "models": "training"}
 """The stage whose results a topic's section shows, where it has another name than the topic."""
 _MAX_NOTES = 60
@@ -57,13 +57,13 @@ class PageSettings(Parameters):
 
 
 class PageParameters(PageSettings):
-    """Parameters of the page: also today's licences and credits, as a new one makes a new page."""
+    """Parameters of the page, including the current licences and credits, because a change needs a new page."""
 
     sources: tuple[SourceCredit, ...]
 
 
 def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) -> Shard:
-    """Return the shard that assembles what the shards of all topics found."""
+    """Return the shard that assembles the results of all topics' shards."""
     every = {manifest.ref: manifest for table in inputs.manifests for manifest in inputs.of(table)}
     every |= {manifest.ref: manifest for manifest in inputs.empty}
     sources = merge_credits(*(manifest.sources for manifest in every.values()))
@@ -107,7 +107,7 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
 
 
 def _hero(store: Store, manifests: Sequence[Manifest]) -> Picture | None:
-    """Return the moving picture that the page opens on: the first of the topics that show people best."""
+    """Return the moving picture at the top of the page: the first of the topics that show people best."""
     for topic in _OPENING:
         for part in (one for one in manifests if one.partition == topic):
             for name in sorted(name for name in part.attachments if name.endswith(PLAYER)):
@@ -133,7 +133,7 @@ def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable]) -> st
 
 
 def _bounded(section: Section) -> Section:
-    """Return a section with no more pictures and rows than a page can hold."""
+    """Return a section reduced to the pictures and rows that a page can hold."""
     tables = tuple(replace(table, rows=table.rows[:_MAX_ROWS]) for table in section.tables)
     return replace(section, tables=tables, pictures=section.pictures[:_MAX_PICTURES])
 

@@ -1,4 +1,4 @@
-"""Topic `sets`: whether pairs can be used as a set: do they cover held-out motion, look real, and differ?"""
+"""Topic `sets`: do the pairs of a set cover held-out motion, look real, and differ?"""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _METRICS = {
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
-    """Plan one shard where takes are held out: only these show whether pairs generalise."""
+    """Plan one shard if takes are held out: only these show whether pairs generalise."""
     draws, takes = draw_manifests(inputs), takes_of(inputs, 2)
     if not draws or not any(TakeFacts.of(take).is_held_out for take in takes):
         return []
@@ -98,7 +98,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             ]
     items = Items(nearest, *known.where(places))
     for name in nearest:
-        # The same held-out pairs, so that which of them are hard does not count.
+        # The same held-out pairs for every set, so that the choice of hard pairs does not matter.
         if name != GROWN and (paired := items.paired([name], [GROWN])) and paired.baselines:
             lead = float(nearest[GROWN].mean() - nearest[name].mean())
             low, high = lead_interval(paired, GROWN)

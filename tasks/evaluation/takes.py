@@ -1,4 +1,4 @@
-"""Topic `takes`: what each take looks like: closeness of the two people, floor and foot contact."""
+"""Topic `takes`: figures of each take: closeness of the two people, floor and foot contact."""
 
 from __future__ import annotations
 

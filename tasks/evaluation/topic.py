@@ -31,7 +31,7 @@ class TopicResult(Generic[D]):
     Args:
         scores: The figures.
         notes: Sentences for the reader: what was measured, what was skipped and why.
-        items: By name of a criterion, what it judges: items that nothing was learned from; empty where there is none.
+        items: Items to judge by the name of a criterion; nothing was learned from them.
         baselines: Methods that others are compared with, in scores and items.
         shown: Input of the pictures; None where there are none.
     """
@@ -53,7 +53,7 @@ class Topic(Generic[D]):
     Args:
         name: Name of the topic: the partition of its shards, and `topic` of its rows in the `scores` table.
         heading: Heading of its section.
-        introduction: What its figures mean, for the reader of the page.
+        introduction: Explains its figures to the reader of the page.
         reads: Tables that its shards read; the stage reads those of all topics.
         plan: Gives the shards for these inputs and settings (an instance of `settings`), made by `shard`; none where
             there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
@@ -61,9 +61,9 @@ class Topic(Generic[D]):
         draw: Draws what `compute` shows: figures (.svg) and moving people (.player.json).
         tabulate: Tables beside the figures, from the scores of all shards of all topics.
         settings: Its keys in the study's section `evaluation`.
-        criteria: What its result is judged by: a verdict for each whose items a shard has.
+        criteria: Criteria of its result: a verdict for each whose items a shard has.
         has_means_first: The page shows means over many items before the items.
-        cautions: What to know of a dataset, as pairs of a table and a sentence that holds where the table is there.
+        cautions: Warnings about a dataset, as pairs of a table and a sentence that applies if the table is present.
     """
 
     name: str
@@ -123,7 +123,7 @@ def refuse_learned(store: Store, refs: Iterable[ArtifactRef], held_out: Iterable
 
 
 def refuse_overlap(what: str, learned_from: Iterable[str], evaluated: Iterable[str]) -> None:
-    """Refuse to evaluate takes that were learned from."""
+    """Refuse to evaluate on takes that were learned from."""
     both = sorted(set(learned_from) & set(evaluated))
     if both:
         raise InputError(f"{what} learned from {', '.join(both)}, which it is evaluated on; hold these takes out")

@@ -53,13 +53,13 @@ _STATED = {
     "75 degrees apart": ("6.8 cm", "15.2 cm"),
     "135 degrees apart": ("12.6 cm", "16.4 cm"),
 }
-"""What Yiannakides et al. 2019, section 6.2, state of their method and of VNect, by the end of an item."""
+"""Figures of Yiannakides et al. 2019, section 6.2, for their method and VNect, by the ending of an item."""
 _SHOWN_S = 4.0
 _COMPARED = ("published", "published_clean", "nearest", "window", "viterbi", "fit", "fit_clean", "live", STILL)
 
 
 class UnseenViewsSettings(Parameters):
-    """From where motions are seen."""
+    """Views of the motions."""
 
     unseen_views_deg: tuple[float, ...] = Field(
         (),
@@ -100,7 +100,7 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
 
 
 class _ShownUnseenViews(NamedTuple):
-    """A motion in words, and what a camera saw and a fit made of its first seconds, (frame, 14, 3) in camera axes."""
+    """A motion in words, with its first seconds as seen by a camera and as fitted, (frame, 14, 3) in camera axes."""
 
     item: str
     condition: str
@@ -157,7 +157,7 @@ def unseen_view_scores(
 
     The items are the errors of all poses, the root kept.
 
-    The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
+    The database has not seen the motion and has a level camera; `stream` gives the random stream of a view.
     """
     figures: dict[tuple[str, str], list[float]] = {}
     motions: dict[str, list[Array]] = {}

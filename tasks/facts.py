@@ -1,6 +1,6 @@
-"""The facts of artifacts: what each kind says of itself beside its tables, for planning and for people.
+"""The facts of artifacts: what each kind states besides its tables, for planning and for people.
 
-A field that is not given is not written: a manifest holds the facts that its stage gave, and no others.
+Fields that were not set are not written: a manifest holds exactly the facts that its stage gave.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Purpose = Literal["video", "random_views", "given"]
 
 
 class Facts(Settings):
-    """What every artifact may say: the takes that it shows or was made from, and what was skipped, in sentences."""
+    """Facts that every artifact may have: the takes that it shows or was made from, and what was skipped."""
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)
 
@@ -30,7 +30,7 @@ class Facts(Settings):
 
     @classmethod
     def of(cls, manifest: Manifest) -> Self:
-        """Return the facts of an artifact; those that this kind does not have are passed over.
+        """Return the facts of an artifact; unknown ones are ignored.
 
         Raises:
             InputError: A fact is missing or has another form: an earlier version wrote it.
@@ -64,7 +64,7 @@ class PeopleFacts(Facts):
 
 
 class TakeFacts(PeopleFacts):
-    """A take with its poses, or one that was not let in."""
+    """A take with its poses, or one that was rejected at ingest."""
 
     kind: Literal["take"] = "take"
     take_id: str
@@ -84,7 +84,7 @@ class VariantOrigin(Settings):
 
 
 class VariantFacts(PeopleFacts):
-    """A batch of variants of a take; `parameters` is how they were solved, for what solves more of them.
+    """A batch of variants of a take; `parameters` says how they were solved, for readers that solve more of them.
 
     Those of a model have an `origin`, those of the solver none.
     """
@@ -98,7 +98,7 @@ class VariantFacts(PeopleFacts):
 
 
 class CoupleFact(Settings):
-    """Two people of a sequence who were taken for partners, in so many frames near each other."""
+    """Two people of a sequence who were taken for partners, and in how many frames they are near each other."""
 
     sequence_id: str
     person_ids: tuple[int, int]
@@ -116,10 +116,10 @@ class DetectedSequence(Settings):
 
 
 class SequenceFacts(PeopleFacts):
-    """Annotated sequences, and what was stated of camera and people.
+    """Annotated sequences, and statements on their camera and people.
 
-    `why_no_video` is why frames of some do not follow each other in time, by sequence; `calibration` is the TOML of one
-    and the table of this camera.
+    `why_no_video` gives, by sequence, the reason why frames do not follow each other in time; `calibration` is the TOML
+    of one and the table of this camera.
     """
 
     kind: Literal["sequences"] = "sequences"
@@ -272,13 +272,13 @@ class ModelFacts(Facts):
 
 
 class SkippedFacts(Facts):
-    """What was not made, and why."""
+    """Results that were not made, and why."""
 
     kind: Literal["left_out", "nobody"] = "left_out"
 
 
 class TopicFacts(Facts):
-    """What a topic of the evaluation says in words."""
+    """The sentences of a topic of the evaluation."""
 
     captions: dict[str, str] = Field({})
     notes: tuple[str, ...] = ()
@@ -298,7 +298,7 @@ _COUNTED: dict[str, type[Facts]] = {
 
 
 def facts_of(manifest: Manifest) -> Facts:
-    """Return the facts of an artifact as those of its kind, where it is one that people count."""
+    """Return the facts of an artifact in the class of its kind, if it is a kind that people count."""
     return _COUNTED.get(manifest.facts.get("kind", ""), Facts).of(manifest)
 
 

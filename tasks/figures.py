@@ -1,6 +1,6 @@
-"""Which figures are columns of which table; `python -m tasks.figures` writes them down where the tables find them.
+"""Figures that are columns of tables; `python -m tasks.figures` writes them to the file that the tables read.
 
-The science declares figures and knows no tables, and what lies on disk is read without the science.
+The science declares figures and knows no tables; data on disk can be read without the science.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ _PER_SHARD = 8
 
 
 class GenerationParameters(SweptParameters):
-    """A model to sample from, and how much; `sweep` names others."""
+    """A model to sample from, and the number of samples; `sweep` names others."""
 
     model: str = Field(
         "", description="Trained model by the name it is kept under, or NAME@SPLIT; nothing is generated without one"
@@ -115,7 +115,7 @@ def _model_named(inputs: StageInputs, text: str, name: str, split: str) -> Manif
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse a model that the study does not train, or that cannot do what is asked, and key frames that are none.
+    """Refuse a model that the study does not train or that lacks a requested ability, and invalid key frames.
 
     Raises:
         InputError: Names the key and what is allowed.

@@ -14,7 +14,7 @@ from tasks.curation import CurationSettings
 from tasks.stage import Parameters, Stage
 
 _NO_STAGE = "shards"
-"""Without a stage, and slow to import."""
+"""Modules without a stage that are slow to import."""
 
 
 class GraphError(Exception):
@@ -71,16 +71,16 @@ class Graph:
 
     @property
     def reporting(self) -> tuple[str, ...]:
-        """Return the names of the stages that make a page of all that is there."""
+        """Return the names of the stages that make a page of all results."""
         return tuple(stage.name for stage in self.stages if "scores" in stage.writes)
 
     @property
     def shared(self) -> dict[str, type[Settings]]:
         """Return the models of the sections that stages of this graph share, by name.
 
-        Such a section is no stage's own: every stage whose parameters have its settings gets what it says.
+        Such a section belongs to no stage: every stage whose parameters have its settings receives them.
         """
-        from pasdedeux.sampling.prior import PriorSettings  # here: compiled kernels that --help need not wait for
+        from pasdedeux.sampling.prior import PriorSettings  # imported here: --help need not wait for compiled kernels
 
         sections: dict[str, type[Settings]] = {"physical_prior": PriorSettings, "curation": CurationSettings}
         return {
@@ -112,7 +112,7 @@ class Graph:
         return frozenset(other for other in self.names if name in self.above(other))
 
     def only(self, names: Iterable[str]) -> Graph:
-        """Return the graph of these stages alone; what the others write is then simply not there to be read."""
+        """Return the graph of these stages alone; tables of the others are then absent."""
         wanted = set(names)
         for name in sorted(wanted):
             self.stage(name)
@@ -132,7 +132,7 @@ def load_graph() -> Graph:
 
 
 def _resting(name: str, needs: dict[str, set[str]]) -> set[str]:
-    """Return the stages that one rests on, directly or not."""
+    """Return the stages that a stage depends on, directly or not."""
     resting: set[str] = set()
     todo = [name]
     while todo:

@@ -1,4 +1,4 @@
-"""Verdicts of shards and of their parts, as they stand among the facts of an artifact."""
+"""Verdicts of shards and of their parts, as stored among the facts of an artifact."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
 
 VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
-"""Names under which a shard's verdict, and those of its parts, stand among its facts."""
+"""Keys of a shard's verdict, and of those of its parts, among its facts."""
 
 
 def verdict_of(manifest: Manifest) -> Verdict | None:

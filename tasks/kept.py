@@ -1,4 +1,4 @@
-"""A cache of a worker, from shard to shard."""
+"""A worker's cache between shards."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _KEPT: list[Callable[[], None]] = []
 def kept(count: int = 1) -> Callable[[F], F]:
     """Return a decorator: a worker caches results of the last `count` different calls between shards of a stage.
 
-    For what many shards make ready alike; until `forget_kept`.
+    Use it for data that many shards prepare in the same way. `forget_kept` empties it.
     """
 
     def decorated(function: F) -> F:
@@ -28,8 +28,8 @@ def kept(count: int = 1) -> Callable[[F], F]:
 
 
 def forget_kept() -> None:
-    """Give back the memory of all that is kept."""
+    """Free the memory of everything that is kept."""
     for forget in _KEPT:
         forget()
-    with suppress(AttributeError, OSError):  # another C library gives it back by itself, or has no name for that
+    with suppress(AttributeError, OSError):  # other C libraries return memory by themselves, or have no such function
         ctypes.CDLL(None).malloc_trim(0)

@@ -20,7 +20,7 @@ from tasks.draw_sets import DrawSet
 Row = dict[str, Any]
 EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 _NUM_COMPLETING = 100
-"""Draws nearest in D_I that joints not seen are taken from."""
+"""Number of draws nearest in D_I from which unseen joints are taken."""
 
 
 def lifted_row(seen: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
@@ -39,7 +39,7 @@ def lifted_row(seen: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> 
 
 
 class Together(NamedTuple):
-    """Two people (2, 14, 3) lifted with others of their camera; what is expected to err; whether draws were used."""
+    """Two people (2, 14, 3) lifted with others of their camera, their expected error, and whether draws were used."""
 
     people_m: np.ndarray
     expected_m: float
@@ -65,7 +65,7 @@ def lift_annotation(
     if not seen.is_seen.all():
         incomplete = np.where(seen.is_seen[..., None], fitted, np.nan)
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=_NUM_COMPLETING).fitted_m
-        if over_time is not None:  # one image says little of who is in front, its video more
+        if over_time is not None:  # one image hardly shows who is in front; its video does
             fitted = in_depth_order(fitted, as_pair17(over_time.people_m, fitted))
         rows.append(lifted_row(seen, "completed", fitted, **known))
     has_own_draw = bool(np.isin(drawn, retrieved.nearest.draw).any())
@@ -78,7 +78,7 @@ def lift_annotation(
         fitted = fitted - np.array([*off, fitted[..., 2].mean()])
         rows.append(lifted_row(seen, "over_time", fitted, **known))
     rows[-1] |= dict(zip(EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
-    # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
+    # The mean of all draws, seen from the likeliest view: the estimate for any pair from the draws alone.
     rows.append(lifted_row(seen, "mean_pair", index.placed_mean(seen.directions[0], seen.image_m)))
     return rows, fitted
 

@@ -1,4 +1,4 @@
-"""Annotated pairs of a video lifted together, as the stages `seeds` and `lifting` do it."""
+"""Lifting of annotated pairs of a video together, for the stages `seeds` and `lifting`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tasks.facts import SequenceFacts
 from tasks.reconstruction import read_tracks
 
 NUM_OVER_TIME = 60
-"""Annotated frames of a video, evenly spread, that beside those lifted say where the camera is and how large people."""
+"""Number of annotated frames of a video, evenly spread, that help to estimate the camera's place and people's sizes."""
 _VIDEO = ("video", "given")
 """Purposes of annotations whose frames may follow each other."""
 
@@ -43,7 +43,7 @@ def lift_couple(
 ) -> dict[PairPlace, tuple[np.ndarray, float]]:
     """Return two people (2, 14, 3), camera axes, metres, at the wanted places of a couple, and their expected error.
 
-    They are reconstructed with others of their places as one video.  Nothing where these are too few or somebody cannot
+    They are reconstructed with other frames as one video. The result is empty if these are too few or a person cannot
     be reconstructed; then the database is not made.
     """
     wanted_places = [place for place in places if place in wanted]

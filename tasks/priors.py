@@ -25,15 +25,15 @@ PRIORS = StageName("priors", 4)
 
 BUILT_IN_DUETS = "built-in duets"
 BODY_PROPORTIONS = "body proportions"
-"""What a default torso basis is learned from."""
+"""Origin of a default torso basis."""
 MIN_POSES = 10
-"""A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
+"""With fewer poses than this, a torso basis would be one person in one pose, so the default is used instead."""
 _FRAMES_PER_TAKE = 2000
-"""Frames of each take that are learned from, evenly spread: neighbours in time say the same."""
+"""Frames of each take that are learned from, evenly spread, because neighbours in time are alike."""
 
 
 class PriorsParameters(Parameters):
-    """How torsos and joint angles are learned from prior takes: no study needs to say."""
+    """Constants of learning torsos and joint angles from prior takes; no study needs to set them."""
 
 
 class PriorsShard(Parameters):
@@ -82,7 +82,7 @@ def _why_default(poses: np.ndarray) -> str:
 
 
 def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, origin: str) -> Verdict:
-    """Return which share of the prior poses keeps the joint limits, beside the share that keeps the published ones."""
+    """Return the share of the prior poses within the joint limits, beside the share within the published ones."""
     level, reason = Level.PASS, ""
     if not len(poses):
         reason = f"no prior take is named: published joint limits and a torso basis of {origin}"
@@ -101,8 +101,7 @@ def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, ori
 def default_origin(shown: Iterable[Manifest]) -> str:
     """Return the origin of the default basis: the built-in duets, where these artifacts show none of them.
 
-    On the duets themselves it comes from body proportions alone, so that nothing is evaluated on what it was learned
-    from.
+    For the duets themselves it comes from body proportions alone, so that nothing is evaluated on its training data.
     """
     return (
         BODY_PROPORTIONS
@@ -122,7 +121,7 @@ def default_torso_basis(origin: str) -> TorsoBasis:
 
 
 def read_torso_basis(store: Store, refs: Iterable[ArtifactRef]) -> TorsoBasis:
-    """Return the torso basis among these artifacts; the default for what they show where there is none."""
+    """Return the torso basis among these artifacts, or the default for the motion that they show."""
     manifests = [store.manifest(ref) for ref in refs]
     for manifest in manifests:
         if "torso_basis" in manifest.tables:

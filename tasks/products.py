@@ -1,4 +1,4 @@
-"""Which method's result is the product of a table that has those of several, and which methods are baselines."""
+"""The method whose result is the product of a table with results of several, and the methods that are baselines."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ PRODUCT_COLUMNS: dict[str, tuple[str, ...]] = {
     "motions": ("sequence_id", "frame", "person_id", "method"),
     "lifted_pairs": ("sequence_id", "frame", "person_id", "partner_id", "method"),
 }
-"""Columns that tell which rows are the product: whom and when they are of, and the method."""
+"""Columns that decide which rows are the product: those of person and time, and the method."""
 
 
 def product_rows(rows: TableData) -> np.ndarray:
     """Return which rows (n,) are the product: for each person and frame that of the best method; else all.
 
-    Methods that are neither in `PRODUCTS` nor baselines come after those that are; of several the last.
+    Methods that are neither in `PRODUCTS` nor baselines come after those that are; of several, the last.
     """
     table = rows.table.name
     if table not in PRODUCTS:
@@ -40,7 +40,7 @@ def product_rows(rows: TableData) -> np.ndarray:
 
 
 def method_name(table: str, method: str) -> str:
-    """Return the name of a method in names of files, a baseline named so.
+    """Return the name of a method for file names; baselines are marked.
 
     >>> method_name("motions", "nearest"), method_name("lifted_pairs", "nearest")
     ('nearest-baseline', 'nearest')

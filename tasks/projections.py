@@ -40,7 +40,7 @@ from tasks.takes import read_motion, read_rest
 PROJECTIONS = StageName("projections", 6)
 
 MAX_PAIRS = 30_000
-"""Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
+"""Most pairs that are searched, evenly chosen: with 30 yaws about a million projections."""
 _RATE_HZ = 24.0
 """Frames per second of the database (Yiannakides et al. 2019)."""
 _DENSITY = "ic"
@@ -55,7 +55,7 @@ Pitches = tuple[Annotated[float, Field(gt=-90, lt=90)], ...]
 
 
 class ProjectionsParameters(Parameters):
-    """Which poses enter the database, and what cameras see them."""
+    """Poses of the database, and the cameras that see them."""
 
     pitches_deg: Pitches = Field(
         (-30.0, -10.0, 0.0, 8.2, 20.0, 30.0, 45.0),
@@ -121,7 +121,7 @@ def plan_poses(inputs: StageInputs, parameters: ProjectionsParameters, *, may_be
 
 
 def _plan_early(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
-    """Plan the shards of some artifacts alone: not draws that enter only where others are not there."""
+    """Plan the shards of some artifacts alone, without draws that enter only in the absence of takes."""
     return [] if parameters.include_draws is None else plan_poses(inputs, parameters, may_be_repaired=False)
 
 
@@ -153,7 +153,7 @@ def _cluster(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def _project(shard: Shard, store: Store) -> ArtifactRef:
-    """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
+    """Retarget the poses of one source to the reference body, remove heading and place, and commit them."""
     options = shard.options(PoseShard)
     ref = shard.ref("poses")
     group = _READERS[options.origin](store, ref, options.rate_hz)
@@ -245,8 +245,8 @@ def read_clusters(store: Store, ref: ArtifactRef) -> Clusters:
 def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int = MAX_PAIRS) -> np.ndarray:
     """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; people who were alone are skipped.
 
-    The rows of a frame give back its people in their place to each other: heading and place are put on again.  Of more
-    pairs than `max_pairs` an even choice is given.
+    Heading and place are applied again, so that the people of a frame have their relative places.  If there
+    are more than `max_pairs`, they are chosen evenly.
     """
     count = sum(store.manifest(ref).tables["projections"].rows for ref in refs) // 2
     step = max(1, -(-count // max_pairs))
@@ -264,7 +264,7 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int = MA
 
 
 class _PosesTogether(NamedTuple):
-    """People who were there together: the take of each frame, and everybody's poses and rotations, frame by frame.
+    """People seen together: the take of each frame, and everybody's poses and rotations, frame by frame.
 
     Draws are frames of one group that have no past: each begins a sequence.
     """
@@ -300,7 +300,7 @@ def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> _PosesTogether:
 
 
 def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
-    """Return local rotations (row, 22, 4) for poses that say no more than op14: straight backs, feet square."""
+    """Return local rotations (row, 22, 4) for poses known only as op14: straight backs, feet square."""
     return pose_body(body_of(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M), retarget_proportions(op14_m))[1]
 
 

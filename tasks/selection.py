@@ -1,4 +1,4 @@
-"""Pairs that stand for all of a study: repaired ones, else draws, grown and filled ones, with their origins."""
+"""Pairs that represent all of a study: repaired ones, else draws, grown and filled ones, with their origins."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class SelectedPairs:
 
 @dataclass(frozen=True)
 class _ChainWorth:
-    """A chain: for how many independent pairs a draw stands, and what is thought of it."""
+    """A chain: the number of independent pairs that each draw counts for, and its verdict."""
 
     share: float
     verdict: str
@@ -86,13 +86,13 @@ class _PlausibleRows:
 def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> SelectedPairs:
     """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are passed over.
 
-    Where pairs were repaired, only those are selected from: they are what became of grown and filled pairs, and draws
-    of chains lie farther from real pairs.  Draws of the prior alone, a baseline, are passed over.  A pair is plausible
-    if it keeps the joint limits and has a log prior of at least `MIN_LOG_PRIOR`.  One artifact is in memory at a time,
-    and all pairs of no chain that differ.
+    Where pairs were repaired, only those are selected from: they come from grown and filled pairs, and draws of chains
+    lie farther from real pairs.  Draws of the prior alone, a baseline, are skipped.  A pair is plausible if it
+    keeps the joint limits and has a log prior of at least `MIN_LOG_PRIOR`.  One artifact is in memory at a time, and
+    all pairs of no chain that differ.
 
     Raises:
-        InputError: Nobody knows how a chain went.
+        InputError: The diagnostics of a chain are missing.
     """
     manifests = [store.manifest(ref) for ref in refs]
     drawn = [manifest for manifest in manifests if "draws" in manifest.tables and knows_annotations(manifest)]
@@ -103,7 +103,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     chains = _read_chains(store, manifests)
     selector = PairSelector(count)
     num_single = sum(manifest.tables[_table(manifest)].rows for manifest in (*grown, *drawn) if not is_chain(manifest))
-    singles = PairSelector(1, min_room=num_single)  # of no chain: those that differ, whatever artifacts they are in
+    singles = PairSelector(1, min_room=num_single)  # of no chain: distinct pairs over all artifacts
     parts: list[_PlausibleRows] = []
     first = num_plausible = 0
     num_independent = 0.0

@@ -1,4 +1,4 @@
-"""Stage `seeds`: where chains start: frames of takes, files, pairs lifted from 2D alone, and what grows from them."""
+"""Stage `seeds`: starts of chains: frames of takes, files, pairs lifted from 2D alone, and pairs grown from them."""
 
 from tasks.seeds.parameters import SEEDS, SeedFrame, SeedsParameters
 from tasks.seeds.plan import check_study, plan

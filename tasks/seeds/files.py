@@ -1,4 +1,4 @@
-"""Seeds as files: what a study names, what the store gives out, and a draw that becomes a seed."""
+"""Seeds as files: those named by a study, those exported from the store, and draws that become seeds."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SeedFile(Parameters):
 
 
 class FileSeed(PriorSettings, Parameters):
-    """A seed that is in a file: how its shard reads it again."""
+    """Parameters of a seed in a file, with which its shard reads it again."""
 
     seed_index: int
     file_format: Literal["bvh", "json"]
@@ -53,7 +53,7 @@ class FileSeed(PriorSettings, Parameters):
 
 @dataclass(frozen=True)
 class LoadedSeed:
-    """A seed read from files, with what its shard needs to read them again."""
+    """A seed read from files, with the files and parameters that its shard needs."""
 
     pair: PairFile
     files: tuple[SourceFile, ...]
@@ -81,7 +81,7 @@ def load_seed(file: SeedFile, *, seed_index: int = 0) -> LoadedSeed:
 
 
 def read_seed(shard: Shard) -> PairFile:
-    """Read the seed of a shard that `load_seed` made the files and parameters of; its takes are all named.
+    """Read the seed of a shard from the files and parameters that `load_seed` gave; all of its takes are named.
 
     Raises:
         InputError: A file changed since.
@@ -99,7 +99,7 @@ def _parsed(parameters: FileSeed, data: Sequence[bytes]) -> PairFile:
 
 
 def credits_of(pair: PairFile) -> list[SourceCredit]:
-    """Return the licences and credits of a seed from a file; a file that says nothing of them is named as such."""
+    """Return the licences and credits of a seed from a file; one that states none is named as such."""
     if not pair.sources:
         return [SourceCredit(name="seed files given in the study", licence=NOT_STATED, credit=NOT_STATED)]
     return [SourceCredit(source.name, source.licence, source.credit) for source in pair.sources]
@@ -107,7 +107,7 @@ def credits_of(pair: PairFile) -> list[SourceCredit]:
 
 @dataclass(frozen=True)
 class DrawSeed:
-    """A stored draw as a pair, and which one it is."""
+    """A stored draw as a pair, with its identity."""
 
     pair: PairFile
     ref: ArtifactRef

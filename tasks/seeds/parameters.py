@@ -22,7 +22,7 @@ class SeedFrame(Parameters):
 
 
 class SeedsParameters(PriorSettings, Parameters):
-    """How many seeds there are and where they come from."""
+    """Number and origins of the seeds."""
 
     num_seeds: int | None = Field(
         None,

@@ -1,4 +1,4 @@
-"""Which seeds there will be: a shard for each that stands alone and each video, one each for all others of a kind."""
+"""Planning of the stage `seeds`: a shard for each single seed and each video, and one for all others of each kind."""
 
 from __future__ import annotations
 
@@ -32,9 +32,8 @@ from tasks.stage import Shard, StageInputs
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     """Plan a shard per seed from takes that are not held out or from files, one each for lifted, grown and filled ones.
 
-    Where pairs grow, so one for each video that may be learned from, if there are takes that it does not show.
-
-    Where there is none of the former, seeds are lifted from 2D alone, unless the study says how many.
+    If pairs grow, plan one for each video that may be learned from, provided that there are takes that it does not
+    show. Without takes and files, seeds are lifted from 2D alone, unless the study states how many.
 
     Raises:
         InputError: A named frame or file cannot be a seed, or seeds are asked of takes or of annotations and there are
@@ -86,7 +85,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse files that are no seeds, and seeds of takes or of annotations where the study has none, as far as known.
+    """Refuse files that are no seeds, and seeds of takes or annotations that the study lacks, as far as known.
 
     Raises:
         InputError: Names the file and what is wrong with it, or the key that asks for what is not there.

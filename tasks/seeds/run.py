@@ -1,4 +1,4 @@
-"""Seeds made: frames read or chosen, files taken in, annotations lifted, also over time, grown over and filled in."""
+"""Making of seeds: read or choose frames, import files, lift annotations (also over time), grow and fill in pairs."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _commit_one(
     sources: Sequence[SourceCredit] = (),
     **known: Any,
 ) -> ArtifactRef:
-    """Commit a seed that stands alone, gauge-fixed, and say whether chains can start from it."""
+    """Commit a single seed, gauge-fixed, and judge whether chains can start from it."""
     quality = seed_quality(pair_m[None], read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     verdict = Verdict(Level.PASS)
     if not quality.is_possible[0]:
@@ -113,7 +113,7 @@ def _takes(shard: Shard, store: Store) -> tuple[str, ...]:
 def _columns(
     origin: str, indices: Sequence[int] | np.ndarray, pairs_m: np.ndarray, log_prior: np.ndarray, **known: Any
 ) -> dict[str, Any]:
-    """Return the table of seeds of one origin; what is not known of them is null."""
+    """Return the table of seeds of one origin; unknown columns are null."""
     count = len(pairs_m)
     return {
         "seed_index": indices,
@@ -128,7 +128,7 @@ def _columns(
 
 
 def _annotated(shard: Shard, store: Store) -> PlacedPairs:
-    """Return the annotated pairs under their likeliest views: more hypotheses of a view brought nothing."""
+    """Return the annotated pairs under their likeliest views: more hypotheses of a view did not help."""
     return gather(store, annotations=shard.refs("annotations"), views=shard.refs("views"), num_hypotheses=1)
 
 
@@ -166,7 +166,7 @@ def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
 
 
 def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> ArtifactRef:
-    """Lift frames of a video together, by the poses of other takes; trunks and heads are those of the nearest pair."""
+    """Lift frames of a video together with poses of other takes; trunks and heads are those of the nearest pair."""
     ref = shard.ref("annotations")
     couples = couples_of(
         SequenceFacts.of(store.manifest(ref)),
@@ -224,8 +224,8 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
         num_grown=options.num_grown,
         prior=options.part(PriorSettings),
     )
-    # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
-    # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
+    # Neighbours agree on depths after pairs are judged, so a few may leave the joint limits and cannot start a chain.
+    # Starts are drawn, not spread out: the farthest pairs are those with errors (14 against 59 real frames).
     possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
     seed_indices = options.first_index + np.arange(len(growth.pairs_m))
     columns = _columns(

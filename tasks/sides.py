@@ -1,4 +1,4 @@
-"""On which side of a split takes stand: train, validation or test.  Takes are split, never their clips."""
+"""Sides of a split: training, validation or test. Takes are split, never their clips."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SPLITS: tuple[SplitName, ...] = ("train", "validation", "test")
 
 @dataclass(frozen=True)
 class Side:
-    """Where a take stands, and why."""
+    """The side of a take, and the reason."""
 
     split: SplitName
     reason: str
@@ -30,7 +30,7 @@ def take_sides(
     Args:
         is_held_out: Whether each take is held out, by its name.
         seed: Decides.
-        known: Takes that have a side already and keep it, so that nothing that was trained on is tested on later.
+        known: Takes that already have a side and keep it, so that training data are never tested on later.
     """
     sides = {name: side for name, side in (known or {}).items() if name in is_held_out}
     held = {name for name, is_held in is_held_out.items() if is_held}

@@ -1,4 +1,4 @@
-"""What a stage is: what it reads and writes, its parameters, how it is planned and run."""
+"""Definition of a stage: what it reads and writes, its parameters, and how it is planned and run."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class Parameters(Settings):
     """Base of every stage's section in a study, and of the parameters of its shards."""
 
     def part(self, kind: type[S], **more: Any) -> S:
-        """Return the parameters of a kind of shard: the settings that `kind` has too, and what only the plan knows."""
+        """Return the parameters of a kind of shard: the settings that it has too, and values of the plan."""
         shared = {name: getattr(self, name) for name in kind.model_fields if name in type(self).model_fields}
         return kind(**shared, **more)
 
 
 def with_fields(fields: Mapping[str, Any]) -> Callable[[type[P]], type[P]]:
-    """Return a decorator that adds fields, each as its type and `Field`, to parameters, but those that they have."""
+    """Return a decorator that adds fields, given as type and `Field`, to parameters that lack them."""
 
     def extended(parameters: type[P]) -> type[P]:
         new = {name: field for name, field in fields.items() if name not in parameters.model_fields}
@@ -49,7 +49,7 @@ class SourceFile:
 class StageInputs:
     """The artifacts a stage may read, as manifests by table name, in a stable order.
 
-    `empty` are those that hold no table: they say what was skipped, and why.
+    `empty` are artifacts without tables: they state what was skipped, and why.
     """
 
     manifests: Mapping[str, Sequence[Manifest]]
@@ -160,10 +160,10 @@ class StageName(NamedTuple):
 class EarlyPlan:
     """Shards of a stage that are known before all that the stage reads is there; they may start at once.
 
-    What a stage consists of is always what its own plan says when all is there: this only says what to begin with.
+    The stage's own plan, made when everything is there, decides what the stage consists of: this only gives a start.
 
     Args:
-        plan: Gives shards that the stage's own plan gives too, whatever else comes; none where it raises InputError.
+        plan: Gives shards that will be in the stage's own plan whatever is added; none where that raises InputError.
         reads: Tables that must be there as a whole before.
         each: Tables of which some artifacts are given, those that are new: each has shards of its own.
     """
@@ -186,10 +186,10 @@ class Stage:
         plan: Gives the shards for these inputs and parameters; reads manifests, never data.
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
-        needs: What it makes something of, with the keys that give it: the message where it made nothing.
+        needs: The inputs that it needs, with the keys that give them: the message if it made nothing.
         check_study: Refuses what is wrong whatever the inputs, such as files that cannot be used, from the sections of
             all stages by name: called before anything runs.
-        early: What can be begun with before all that it reads is there.
+        early: Plans of shards that can start before all inputs are there.
         unread: Gives the tables among `reads` that are left alone with these parameters: nothing waits for them.
         adds_to: Tables of another stage that it writes more of; stages that it rests on read those of the other alone.
     """

@@ -1,4 +1,4 @@
-"""What manifests say of a run: products, sources and verdicts."""
+"""Summary of a run from its manifests: products, sources and verdicts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _APART = "evaluation"
 
 @dataclass(frozen=True)
 class _Thing:
-    """A thing that people count, by rows or artifacts: name, table, topics that judge it, which artifacts have it."""
+    """A product that is counted by rows or artifacts: name, table, topics that judge it, and the artifacts with it."""
 
     name: str
     table: str
@@ -119,7 +119,7 @@ def judge(manifests: Sequence[Manifest]) -> list[NamedVerdict]:
         )
         for name, verdict in _verdicts(manifest).items():
             groups.setdefault((manifest.ref.stage, f"{manifest.partition} {name}".strip()), []).append(verdict)
-    # Sorted: sets of names have another order in every process.
+    # Sorted: the order of a set of names differs between processes.
     order = list(TopologicalSorter({stage: sorted(before) for stage, before in sorted(reads.items())}).static_order())
     judged = {place: merge_verdicts(found) for place, found in groups.items()}
     return [
@@ -159,7 +159,7 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdic
         else:  # a model counts as one, also where it has no arrays
             amount = int(rows > 0 or isinstance(facts, ModelFacts)) if thing.is_artifact else rows
         count += amount
-        # Of annotations the rows are people and frames, of single frames there are no seconds.
+        # Rows of annotations are people and frames; single frames have no duration.
         is_video = not isinstance(facts, SequenceFacts) or facts.purpose == "video"
         if isinstance(facts, PeopleFacts) and facts.rate_hz and is_video:
             times = amount if thing.table == "variant_quality" else 1
@@ -170,7 +170,7 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdic
 
 
 def _independent(thing: _Thing, facts: Sequence[Facts], chains: Verdict | None) -> tuple[int, str] | None:
-    """Return how many of a thing are independent of each other, in words that people count; None where all are."""
+    """Return how many items of a product are independent, with their name; None if all are."""
 
     def some(count: int, what: str, *which: str) -> tuple[int, str]:
         return count, " ".join((counted(count, what).partition(" ")[2], *which))

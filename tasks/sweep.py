@@ -1,4 +1,4 @@
-"""Sweeps: a section of a study once more with other keys, under a name."""
+"""Sweeps: named repetitions of a study's section with other keys."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SweepName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 
 
 class SweptParameters(Parameters):
-    """A section of which a study may want more than one setting: the section itself, and one for each of `sweep`."""
+    """A section that a study may repeat with other settings: the section itself, and one for each entry of `sweep`."""
 
     sweep: dict[SweepName, dict[str, Any]] = Field(
         {}, description="By a name of your own, keys of this section: it is computed once more with them"
@@ -41,7 +41,7 @@ class SweptParameters(Parameters):
 
 
 def merged(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a section with those of a sweep in it; tables are merged, lists replaced."""
+    """Return the values of a section overridden by those of a sweep; tables are merged, lists replaced."""
     values = dict(base)
     for name, value in overrides.items():
         before = values.get(name)

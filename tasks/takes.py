@@ -1,4 +1,4 @@
-"""Takes as stages read them: everybody's motion by frame and person, rest poses, and what moves with them."""
+"""Reading of takes: everybody's motion by frame and person, rest poses and objects."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def by_frame_and_person(
 
 
 def takes_of(inputs: StageInputs, num_persons: int, *, or_more: bool = False) -> list[Manifest]:
-    """Return the takes of so many people, or of more too."""
+    """Return the takes of so many people, or of at least so many."""
     counts = [(take, TakeFacts.of(take).num_persons) for take in inputs.of("poses")]
     return [take for take, count in counts if count == num_persons or (or_more and count > num_persons)]
 
@@ -52,7 +52,7 @@ def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.n
     """Return columns of a take's poses as (frame, person, ...), float64, arranged by frame and person.
 
     Raises:
-        InputError: Somebody is missing in a frame, or is there twice.
+        InputError: A person is missing in a frame, or is there twice.
     """
     table = store.read(ref, "poses", columns=["person", "frame", *columns])
     person, frame = np.asarray(table["person"]), np.asarray(table["frame"])
@@ -79,11 +79,11 @@ def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
 def read_variants(store: Store, ref: ArtifactRef, index: int | None = None) -> np.ndarray:
     """Return the motions of the variants of an artifact (variant, frame, person, 22, 3), float32, or one of them alone.
 
-    They stand in the order of its `variant_quality`.  To read all at once is as fast as to read one: groups of rows
+    They stand in the order of its `variant_quality`.  Reading all is as fast as reading one, because groups of rows
     hold several.
 
     Raises:
-        InputError: They do not have the frames of their take.
+        InputError: Their number of frames differs from that of their take.
     """
     facts = VariantFacts.of(store.manifest(ref))
     size = facts.num_frames * facts.num_persons

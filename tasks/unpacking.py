@@ -27,7 +27,7 @@ from tasks.training.items import interaction_of
 
 J = BODY22.num_joints
 _VERSION = 1
-"""Of what is unpacked: another one is unpacked anew."""
+"""Version of unpacked files: if it changes, they are unpacked anew."""
 _MANIFEST = "manifest.json"
 _CONTACT_COLUMNS = ("take_id", "frame", "person", "bone", "partner", "partner_bone", "weight")
 Array = npt.NDArray[Any]
@@ -67,7 +67,7 @@ def unpack_folder(folder: Path) -> UnpackedClips:
 def _write_take(
     writer: ClipWriter, said: Mapping[str, Any], positions_m: Array, world: Array, rest_m: Array, first_frame: int
 ) -> dict[str, Any]:
-    """Write a take (T, P, 22, 3) with its world rotations and rest poses; returns what is said of its variants, too."""
+    """Write a take (T, P, 22, 3), its world rotations and rest poses; return the columns shared with its variants."""
     scales = np.ones(rest_m.shape[:2])
     rotations = variant_rotations(rest_m, scales, positions_m.astype(np.float64), world.astype(np.float64))
     first, is_whole = _write_rows(writer, positions_m.reshape(-1, J, 3), rotations.reshape(-1, J, 4))
@@ -92,7 +92,7 @@ def _write_people(writer: ClipWriter, scales: Array, rest_m: Array) -> int:
 
 
 def _write_contacts(writer: ClipWriter, person: Array, bone: Array, frame: Array, weight: Array, frames: int) -> int:
-    """Write the contacts of two people in a take, of several of the same bones that of the greatest weight.
+    """Write the contacts of two people in a take; of several between the same bones, the one of greatest weight.
 
     Args:
         writer: Where to.
@@ -183,7 +183,7 @@ def _write_folder(folder: Path, writer: ClipWriter) -> None:
 
 
 class _RowGroups:
-    """The motions of the clips of a folder, one file of which is open."""
+    """The motions of the clips of a folder, with one file open at a time."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._name = folder, ""

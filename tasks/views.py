@@ -1,4 +1,4 @@
-"""Stage `views`: where the camera stood for every annotated pair, as weighted hypotheses with a trust."""
+"""Stage `views`: the direction of the camera for every annotated pair, as weighted hypotheses with a trust."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ViewsParameters(ViewOptions, Parameters):
 
 
 def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
-    """Plan a shard per artifact of annotations, also of single people: their shard says that it skipped them.
+    """Plan a shard per artifact of annotations, also for single people, whose shard reports that it skipped them.
 
     Annotations of a take that the torso basis was learned from are lifted with a default basis instead, so that no
     view rests on the 3D of its own take.
@@ -54,7 +54,7 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Estimate the views of one artifact's annotated pairs and commit them, with what was skipped and why."""
+    """Estimate the views of one artifact's annotated pairs and commit them, with the reasons for skipping others."""
     annotations = store.manifest(shard.ref("annotations"))
     bases = [store.manifest(ref) for ref in shard.refs("torso_basis")]
     pairs = _read_pairs(store, annotations.ref)
@@ -127,7 +127,7 @@ def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: i
 
 @dataclass(frozen=True)
 class _AnnotatedPartners:
-    """Annotated partners in the order of their places, the smaller id first as person A; what is no pair, in words."""
+    """Annotated partners by their places, the smaller id first as person A, and sentences on the others."""
 
     places: tuple[PairPlace, ...]
     px: np.ndarray

@@ -8,7 +8,7 @@ Torch's loader reads them::
     for batch in DataLoader(PairStream(windows, batch_size=64), batch_size=None, num_workers=2):
         batch["positions"]  # (64, 30, 2, 22, 3)
 
-What is read is unpacked first, once, into a folder of the cache (`storage_schema.unpacked`).
+Data are first unpacked, once, into a folder of the cache (`storage_schema.unpacked`).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Numbers = npt.NDArray[np.int64]
 J = BODY22.num_joints
 _PLACES = ("num_frames", "num_people", "first_row", "first_source", "first_frame", "first_person")
 _ALIGNED = 64
-"""Bytes that arrays of a batch begin at multiples of."""
+"""Alignment of the arrays of a batch, bytes."""
 
 
 class PairDataset:
@@ -58,13 +58,13 @@ class PairDataset:
     - `rotations` (T, P, J, 4): local unit quaternions (x, y, z, w) that play it on `skeleton`
     - `contacts` (T, P(P-1)/2, J, J): weights of the take's contacts between the bones of two people, the first with the
       second, then the first and the second with the third, and so on; zero where there is none
-    - `mask` (T, P, J), bool: the joint is there; what is not there is zero in `positions` and `rotations`
+    - `mask` (T, P, J), bool: the joint is present; absent joints are zero in `positions` and `rotations`
     - `scales` (P, J): length of each bone beside the take's; `skeleton` (P, J, 3): the rest pose, metres
     - `name` of the clip, `start`, its first frame in it, and `rate_hz`
 
     Arrays but `mask` are float32.  Several numbers give a batch, with an axis in front; where its windows have unequal
     numbers of people, the places of those who lack are zeros, and false in `mask`.  Items stand in a fixed order; clips
-    that failed are left out.  Takes never stand on two sides.  A dataset's folder says which stand where.  In a store
+    that failed are left out.  No take is on two sides. A dataset's folder states the side of each.  In a store
     those held out test, or a fifth of all where none is; a tenth of the others, at least one of two, validates.  With
     `by="interaction"` performances of one interaction stay together.
 
@@ -78,7 +78,7 @@ class PairDataset:
         fields: Which arrays an item has: each costs time.
         is_normalised: Subtract mean from positions and source, and divide by deviation, joint by joint: of the training
             side, as `stats.json` of a folder has them.  `normaliser` has both, and undoes it.
-        by: What stays together; for a store.
+        by: Unit that is never split; for a store.
         seed: Decides which takes validate, and test where none is held out; for a store.
         curation: File of choices, else those of the study or dataset: what is rejected is left out, the sides of takes
             stay; for a store.
@@ -155,7 +155,7 @@ class PairDataset:
         return batch if numbers.ndim else {name: values[0] for name, values in batch.items()}
 
     def __getitems__(self, indices: Sequence[int]) -> list[Batch]:
-        """Return items that are read together, with places for as many people: what `DataLoader` asks for."""
+        """Return items that are read together, padded to the same number of people, as `DataLoader` requests them."""
         batch = self[indices]
         return [{name: values[row] for name, values in batch.items()} for row in range(len(indices))]
 
@@ -193,8 +193,8 @@ class PairDataset:
     def _allocate(self, count: int, widest: int) -> Batch:
         """Return the arrays of a batch that are read, in one piece of memory.
 
-        The C library returns several of a few megabytes to the system whenever they are free, and asking for their
-        pages anew takes longer than filling them.
+        The C library returns arrays of a few megabytes to the system whenever they are free, and requesting their pages
+        again takes longer than filling them.
         """
         frames = (count, self.window)
         forms = {
@@ -258,11 +258,11 @@ class PairStream:
     `set_epoch` says which, as they begin anew with every epoch.
 
     Args:
-        windows: What is shown.
+        windows: The windows.
         batch_size: Windows of a batch.
         is_shuffled: Otherwise windows keep their order.
         seed: Decides the order.
-        rank: Number of this process among those that train together.
+        rank: Number of this process among the processes that train together.
         num_ranks: Number of these.
         drops_rest: Leave out the last windows, which fill no batch for each rank; otherwise all windows come, and some
             ranks may have one batch more than others.
@@ -366,7 +366,7 @@ def _why_no_window(kept: pa.Table, on_side: pa.Table, window: int, split: str, b
 
 
 def _sides(clips: pa.Table, seed: int, *, group: str) -> dict[str, SplitName]:
-    """Return the side that each take stands on; takes whose group is tested stand on none."""
+    """Return the side of each take; takes whose group is tested are on none."""
     rows = clips.group_by(list({"take_id": 0, "is_held_out": 0, "split": 0, group: 0})).aggregate([]).to_pylist()
     if rows and rows[0]["split"]:
         return {row["take_id"]: row["split"] for row in rows}

@@ -1,7 +1,7 @@
-"""How far apart two sets of features are: kernel and Fréchet distance, density and coverage, and what chance gives.
+"""Distances between two sets of features: kernel and Fréchet distance, density and coverage, and their chance level.
 
-On few clips the Fréchet distance is mostly bias, so the kernel distance, which has none, stands first, and beside every
-figure stands that of two halves of the real ones.
+On few clips the Fréchet distance is mostly bias, so the unbiased kernel distance comes first, and every figure is
+compared with that of two halves of the real clips.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.evaluation.scores import FEWEST_UNITS
 
 KID_FACTOR = 1000.0
-"""Kernel distances are given times this."""
+"""Factor on reported kernel distances."""
 _NEIGHBOURS = 5
 _NORMAL_95 = 1.96
 
@@ -55,11 +55,11 @@ def kernel_interval(
     """Return ends of a 95 % interval of `kernel_distance`, by the jackknife over units; NaN of fewer than 5 of either.
 
     Features of one unit, such as a variant, leave the sample together (Quenouille 1956, Arvesen 1969 for two samples);
-    draws with repetition would have pairs of a clip with itself, which the distance leaves out.
+    a bootstrap would pair clips with themselves, which the distance leaves out.
     """
     if min(len(set(one_units)), len(set(other_units))) < FEWEST_UNITS:
         return float("nan"), float("nan")
-    # What the other set has within itself is the same whatever is left out, and no part of the variance.
+    # Terms within the other set do not depend on what is left out, so they are no part of the variance.
     variance = _jackknife_variance(one, other, one_units) + _jackknife_variance(other, one, other_units)
     middle, reach = kernel_distance(one, other), _NORMAL_95 * float(np.sqrt(variance))
     return middle - reach, middle + reach
@@ -80,10 +80,10 @@ def _jackknife_variance(features: Array, other: Array, units: Sequence[str]) -> 
 
 
 def density_coverage(real: Array, made: Array) -> tuple[float, float]:
-    """Return density and coverage of made features (m, d) among real ones (n, d), by the 5 nearest (Naeem et al. 2020).
+    """Return density and coverage of features (m, d) among real ones (n, d), by the 5 nearest (Naeem et al. 2020).
 
-    Density is the mean number of real neighbourhoods that a made one lies in, over 5, about 1 for draws of the same
-    distribution; coverage the share of real neighbourhoods with a made one inside.
+    Density is the mean number of real neighbourhoods around a generated feature, over 5, about 1 for draws of the same
+    distribution; coverage is the share of real neighbourhoods that contain a generated one.
     """
     from scipy.spatial.distance import cdist  # here: planning need not wait for it
 

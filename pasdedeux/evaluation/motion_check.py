@@ -1,4 +1,4 @@
-"""Is a motion of people good, whoever made it: its capture, its contacts, and what it keeps of its source's."""
+"""Check a motion of people from any origin: its capture, its contacts, and how it keeps those of its source."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
 _MAX_RATE_HZ = 30.0
-"""Contacts are looked for at no more than this, as studies do."""
+"""Highest rate at which contacts are looked for, as in studies."""
 _SHOWN_S = 5.0
 _BONES = {"bone_error_m": (0.01, 0.03)}
-"""A joint that lies between joints of somebody's rig moves by millimetres on its bone; the solver's bones are exact."""
+"""A joint between the joints of a foreign rig moves by millimetres along its bone; the solver's bones are exact."""
 QUALITY_LIMITS = limits_of(QUALITY) | _BONES
 """Limits of a motion against its source."""
 
 
 @dataclass(frozen=True)
 class TouchFigures:
-    """How people touch each other, for information: it is no fault to dance apart."""
+    """How people touch each other. This is not judged: people may dance apart."""
 
     num_contacts: int = figure(
         "Contacts: unbroken periods in which two bones of different people touch", words="contacts"
@@ -56,7 +56,7 @@ TOUCH = figures_of(TouchFigures)
 
 @dataclass(frozen=True)
 class HeldContacts:
-    """How the contact of the source is kept that is kept worst."""
+    """The contact of the source that is kept worst."""
 
     worst_contact_m: float | None = figure(
         "Change of the surface distance of the two bones with the largest contact drift, 95th percentile "
@@ -77,7 +77,7 @@ class CheckedMotion:
     """A motion of people that is to be checked.
 
     Args:
-        name: What it is called.
+        name: Its name.
         people_m: body22 (frame, person, 22, 3), metres, y up, wherever its floor is.
         rate_hz: Frames per second.
     """
@@ -90,7 +90,7 @@ class CheckedMotion:
 
     @cached_property
     def contacts(self) -> Contacts:
-        """Contacts of people with each other; of who is alone with the own body."""
+        """Contacts of people with each other; of a single person, with the own body."""
         return self.source.contacts()
 
     @cached_property
@@ -114,14 +114,14 @@ class CheckedMotion:
         )
 
     def _depth_m(self) -> Array:
-        """Return how deep the deepest two people are in each other (frame,), metres; negative apart."""
+        """Return the deepest penetration of any two people (frame,), metres; negative if all are apart."""
         people, radii = self.source.positions_m, self.source.radii_m
         couples = [[a, b] for a in range(people.shape[1]) for b in range(a)]
         gaps = [surface_gaps(people[:, both], radii[both], BODY22).closest_m for both in couples]
         return -np.min(gaps, axis=0) if gaps else np.full(len(people), -np.inf)
 
     def held_against(self, original: CheckedMotion) -> tuple[Quality, HeldContacts, Verdict]:
-        """Return how this keeps the contacts, the floor and the smoothness of its source, and the verdict on it.
+        """Compare contacts, floor and smoothness with the source's, and judge how they are kept.
 
         Raises:
             InputError: The two have different numbers of frames or people, or other rates.
@@ -143,7 +143,7 @@ class CheckedMotion:
         return variant.quality, held, joined([*lost, variant.verdict])
 
     def picture(self, said: str, people: Sequence[PersonCapture], original: CheckedMotion | None = None) -> Picture:
-        """Return what a player shows: some seconds about its worst jump, beside the same of its source."""
+        """Return the player: some seconds around its worst jump, beside the same of its source."""
         motions = [one for one in (original, self) if one is not None]
         rate_hz, count = self.source.rate_hz, min(len(one.source.positions_m) for one in motions)
         length, worst = min(count, round(_SHOWN_S * rate_hz)), max(people, key=lambda person: person.jump_m)
@@ -172,7 +172,7 @@ def _bone_name(bone: int) -> str:
 
 
 def _spans(contacts: Contacts) -> Iterator[tuple[int, int]]:
-    """Yield first frame, and one past the last, of each time in which two bones touch without a break."""
+    """Yield the first frame, and one past the last, of each unbroken contact of two bones."""
     held, bones = contacts.is_held & (contacts.objects < 0), contacts.bones()
     frames, places = np.nonzero(held)
     pairs = bones[frames, places]

@@ -23,7 +23,7 @@ _MIN_DISTANCE_M = 0.5
 
 
 def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Return the points of the contacts that are held (frame, n, 2, 3), the first ten of each frame, NaN: no contact.
+    """Return the points of held contacts (frame, n, 2, 3), the first ten of each frame; NaN without a contact.
 
     Args:
         contacts: The contacts.
@@ -39,9 +39,9 @@ def links_of(contacts: Contacts, positions_m: npt.NDArray[Any]) -> npt.NDArray[n
 def reconstruction_player(
     found_m: Array, *, rate_hz: float, keypoints_px: Array | None = None, truth_m: Array | None = None
 ) -> bytes:
-    """Show people as they were reconstructed over the ground truth, and the image that they were found in.
+    """Show reconstructed people over the ground truth, beside their image.
 
-    The middle of all people stays in the middle, so their places to each other show.
+    The middle of all people stays in the centre, so their relative places are visible.
 
     Args:
         found_m: The reconstruction (frame, person, 14, 3), y up, metres; NaN where a person is not there.
@@ -88,7 +88,7 @@ def seen_player(found_m: Array, cameras: Sequence[SeenBy], *, rate_hz: float) ->
 
 
 def _about_middle(seen_px: Array, height: float, *others_px: Array) -> list[Array]:
-    """Return people of an image (frame, person, joint, 2), and others over them, about their middle, y up, z = 0."""
+    """Return people of an image (frame, person, joint, 2), and others over them, centred, y up, z = 0."""
     seen = seen_px * [1.0, -1.0]
     middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
     size = height / max(_height(seen), 1e-9)
@@ -107,7 +107,7 @@ def _mean_there(points: Array) -> Array:
 
 
 def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
-    """Turn a motion in camera axes so that it is seen along the ray to where people are, as their image shows them.
+    """Turn a motion in camera axes so that it is seen along the ray to the people, as in their image.
 
     A camera sees somebody at the edge of its image from another side than somebody in the middle.
 

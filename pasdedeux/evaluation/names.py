@@ -1,4 +1,4 @@
-"""What the names of methods and metrics mean, in words for readers who do not know the code."""
+"""Names of methods and metrics in words, for readers who do not know the code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _WORDS = tomllib.loads(resources.files("pasdedeux.evaluation").joinpath("words.t
 
 
 def in_words(name: str) -> str:
-    """Return a method's or metric's name as people say it; of unknown ones the words of the name.
+    """Return a method's or metric's name in words; unknown names are split into words.
 
     >>> in_words("hand_contact_drift_p95"), in_words("cartesian_repaired"), in_words("new_score")
     ('drift of hands and feet in contact, 95 %', 'Cartesian, repaired', 'new score')
@@ -23,7 +23,7 @@ def in_words(name: str) -> str:
 
 
 def part_in_words(part: str) -> str:
-    """Return the part of the data that a score is over as people say it.
+    """Return, in words, the part of the data that a score is over.
 
     >>> part_in_words("held_out"), part_in_words("cross_scale test")
     ('held-out takes', 'cross scale test')
@@ -48,12 +48,12 @@ def base_name(name: str) -> str:
 
 @cache
 def known_methods() -> tuple[str, ...]:
-    """Return the names of the methods that have words, in their order, in which those of a topic are neighbours."""
+    """Return the names of the methods that have words, in their order, where methods of a topic are neighbours."""
     return tuple(_WORDS["methods"])
 
 
 def is_bound(method: str) -> bool:
-    """Tell whether a method knows the ground truth, so that it is no answer but a bound for answers."""
+    """Tell whether a method knows the ground truth, so that it is a bound and not an answer."""
     return method in _WORDS["bounds"]
 
 
@@ -65,8 +65,8 @@ def better_sign(metric: str) -> int:
 
 @cache
 def _metrics() -> dict[str, tuple[str, str, str]]:
-    """Return words, a sentence, and which values are better, of each metric; of several figures that of the first."""
-    from pasdedeux.augmentation import quality  # late: half of the science, for commands that only look
+    """Return words, a sentence and the better direction of each metric; of several figures, those of the first."""
+    from pasdedeux.augmentation import quality  # imported late: commands that only look need no science
     from pasdedeux.sampling import diagnostics
 
     declared: dict[str, tuple[str, str, str]] = {}

@@ -1,6 +1,6 @@
-"""Pictures of the report: figures as SVG whose text stays text, and moving people that the page's own player draws.
+"""Pictures of the report: SVG figures with selectable text, and moving people for the page's own player.
 
-Positions of moving people are packed small, and a reader may turn them.  Left limbs are drawn darker than right ones,
+Positions are packed compactly, and a reader can rotate the view.  Left limbs are drawn darker than right ones,
 so that a mirrored person is seen at a glance.
 """
 
@@ -22,15 +22,15 @@ from pasdedeux.evaluation.styles import style_of
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 
-if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
+if TYPE_CHECKING:  # matplotlib is imported only for drawing: it takes 0.3 s that planning does not need
     from matplotlib.figure import Figure
 
 PLAYER = ".player.json"
-"""Ending of what a player shows."""
+"""Suffix of a player's file."""
 PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#cc79a7", "#b58900", "#3f7f7f")
 """Colours of person A, B, ... in every picture; a sixth person has the first one again."""
 COLOUR_NAMES = ("orange", "blue", "pink", "ochre", "teal")
-"""What these are called."""
+"""Names of these colours."""
 _TRUTH_COLOUR, LINK_COLOUR, _OBJECT_COLOUR = "#8c8c8c", "#12a150", "#777777"
 _SHADES = {"left_": 0.62, "right_": 1.0}
 """Brightness of left and right limbs."""
@@ -46,7 +46,7 @@ CLOUD: Mapping[str, Any] = {"linewidths": 0, "rasterized": True}
 _DOTS_PER_INCH = 90
 _ORIGIN = np.zeros(2)
 _PAPER: Mapping[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
-"""What lies behind values and names that lines would cross."""
+"""Background of values and names that lines would cross."""
 _LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
 
 
@@ -63,7 +63,7 @@ def rgb(colour: str) -> tuple[int, int, int]:
 class Picture:
     """A figure (.svg) or moving people (.player.json), by its file name, with a caption.
 
-    Of a section with many the first are shown, and others folded away.
+    In a section with many pictures, the first are shown and the others folded.
     """
 
     name: str
@@ -72,17 +72,17 @@ class Picture:
 
     @property
     def is_player(self) -> bool:
-        """It is made of moving people."""
+        """Whether it shows moving people."""
         return self.name.endswith(PLAYER)
 
     @property
     def is_broad(self) -> bool:
-        """Its panels need the page's width."""
+        """Whether its panels need the page's width."""
         return self.content.count(b'"title":') > 1
 
     @property
     def scene(self) -> str:
-        """What a player shows, as JSON that can stand within a page: nothing in it ends a script."""
+        """The JSON of a player, escaped so that nothing in it ends a script in a page."""
         return self.content.decode().replace("<", "\\u003c").replace("&", "\\u0026")
 
     def of_panels(self, count: int) -> Picture:
@@ -109,7 +109,7 @@ class CurvePanel:
 
 
 def new_figure(width: float, height: float, *, columns: int = 1, has_common_axes: bool = False) -> tuple[Figure, Any]:
-    """Return an empty figure of this size in inches and its axes (1, column), all with the same ranges if wished."""
+    """Return an empty figure of this size in inches and its axes (1, column), optionally with common ranges."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height))
@@ -123,7 +123,7 @@ def figure_svg(figure: Figure, *, title: str = "") -> bytes:
 
     if title:
         figure.suptitle(title, fontsize=9)
-    TightLayoutEngine().execute(figure)  # of a figure that has an engine, saving draws all of it once more
+    TightLayoutEngine().execute(figure)  # with a layout engine, saving would draw the figure once more
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "pasdedeux", "svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", dpi=_DOTS_PER_INCH, metadata={"Date": None, "Creator": None})
@@ -138,12 +138,12 @@ def label_axis(axis: Any, x_label: str = "", y_label: str = "") -> None:
 
 
 def legend_beside(axis: Any) -> None:
-    """Put the legend to the right of an axis, the last of its figure, where it hides nothing."""
+    """Put the legend to the right of the last axis of a figure, where it hides nothing."""
     axis.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
 def fit_map(figure: Figure, axis: Any, *, scale: float, limits: tuple[float, float]) -> None:
-    """Give both directions of a map the same scale, and the figure the height for that, within limits, inches."""
+    """Give both directions of a map the same scale, and adapt the height of the figure, within limits, inches."""
     axis.set_aspect("equal")
     width, height = (float(np.ptp(ends)) for ends in (axis.get_xlim(), axis.get_ylim()))
     figure.set_figheight(float(np.clip(0.9 + scale * height / width, *limits)))
@@ -158,14 +158,14 @@ def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_l
             axis.set_xscale("log")
             axis.xaxis.set_major_formatter("{x:,.0f}")  # powers of ten are formulas to lay out
         _draw_panel(axis, panel, x_label)
-        axis.minorticks_off()  # over less than a decade their names would overlap
+        axis.minorticks_off()  # on less than a decade their labels would overlap
     if panels and panels[0].curves:
         legend_beside(axes[-1])
     return figure_svg(figure, title=title)
 
 
 def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
-    """Draw curves and levels; a level too close above another keeps its line and goes without its name."""
+    """Draw curves and levels; a level too close above another has a line but no name."""
     for name, (x, y) in panel.curves.items():
         style = style_of(name)
         line = {"linestyle": "--" if name in panel.baselines else "-", "color": style.colour}
@@ -186,7 +186,7 @@ def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
 
 
 def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, goal: float, x_label: str) -> bytes:
-    """Draw a bar for each method, hatched for baselines, and a line at what has to be beaten; give SVG bytes."""
+    """Draw a bar for each method, hatched for baselines, and a line at the goal; give SVG bytes."""
     figure, ((axis,),) = new_figure(6.0, 0.9 + 0.28 * len(values))
     for row, (name, value) in enumerate(values.items()):
         is_baseline = name in baselines
@@ -203,7 +203,7 @@ def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, 
 
 
 def draw_pair(axis: Any, points: Array, place: Array = _ORIGIN) -> None:
-    """Draw two people (person=2, joint=17, 2) as sticks with the middle of the joints there at a place (2,)."""
+    """Draw two people (person=2, joint=17, 2) as sticks, centred at a place (2,)."""
     shown = points - np.nanmean(points.reshape(-1, 2), axis=0) + place
     for person, colour in zip(shown, PERSON_COLOURS, strict=False):
         # One line for all bones, broken between them: hundreds of figures stay small.
@@ -222,7 +222,7 @@ class ShownPerson:
 
     @property
     def radii_m(self) -> list[float]:
-        """Radius of each joint's bone, millimetres kept; empty of who is drawn thin, and where none are known."""
+        """Radius of each joint's bone, to the millimetre; empty for people drawn thin, and if none are known."""
         there = self.positions_m[np.isfinite(self.positions_m).all(axis=(1, 2))]
         if self.is_thin or self.skeleton not in (BODY22, PAIR17, OP14) or not len(there):
             return []
@@ -231,10 +231,10 @@ class ShownPerson:
 
 @dataclass(frozen=True)
 class PlayerPanel:
-    """What is shown beside others: a title, people, ends (frame, n, 2, 3) of contacts and of objects' axes, NaN: none.
+    """A panel of a player: a title, people, ends (frame, n, 2, 3) of contacts and of objects' axes, NaN without one.
 
-    A flat panel is not turned: it shows an image, whose middle is the origin.  Of several cameras a reader may choose
-    one: `view` has its name, and the yaw and pitch from which it sees the panels that are not flat.
+    A flat panel is not turned: it shows an image, whose middle is the origin.  With several cameras, a reader may
+    choose one: `view` has its name, and the yaw and pitch from which it sees the panels that are not flat.
     """
 
     title: str
@@ -289,7 +289,7 @@ def shown_frames(num_frames: int, rate_hz: float) -> tuple[Integers, float]:
 
 
 def times_shown(frames: Integers, num_frames: int, rate_hz: float) -> list[str]:
-    """Return a label for each frame that is shown of a longer motion, its time in that; none where all of it is shown.
+    """Return a label with the time of each shown frame of a longer motion; none if all of it is shown.
 
     >>> times_shown(np.array([75, 77]), 300, 30.0), times_shown(np.array([0, 2]), 3, 30.0)
     (['2.5 of 10.0 s', '2.6 of 10.0 s'], [])
@@ -302,7 +302,7 @@ def times_shown(frames: Integers, num_frames: int, rate_hz: float) -> list[str]:
 def pack_player(
     panels: Sequence[PlayerPanel], *, rate_hz: float, labels: Sequence[str] = (), has_floor: bool = True
 ) -> bytes:
-    """Return what the page's player shows, as JSON; the same panels always give the same bytes.
+    """Return the JSON of a player; the same panels always give the same bytes.
 
     Args:
         panels: Panels of the same number of frames.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _SKINS = "__SKINS__"
-"""Stands in the page for the bodies of its players."""
+"""Placeholder in the page for the bodies of its players."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """The whole page: its title, what the study makes, the answers on top, the sections, and what moves first."""
+    """The whole page: title, description of the study, answers, sections, and the first moving picture."""
 
     title: str
     description: str

@@ -14,7 +14,7 @@ from pasdedeux.evaluation.scores import Score, weighted_mean
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
 _MIN_LENGTH_M = 1e-9
-"""Lengths below are rounding, and shown as 0."""
+"""Lengths below this are rounding errors, shown as 0."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def format_value(value: float, unit: str, num_digits: int = 3) -> str:
 
 
 def format_both(value: float, other: float, unit: str) -> tuple[str, str]:
-    """Return two figures with as many digits, of three to five, as tell them apart.
+    """Return two figures with the fewest digits, from three to five, that distinguish them.
 
     >>> format_both(0.10573, 0.10554, "m"), format_both(0.1, 0.2, "m")
     (('10.57 cm', '10.55 cm'), ('10 cm', '20 cm'))
@@ -95,9 +95,8 @@ def pivot_table(
 def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = False) -> TextTable:
     """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
 
-    Several methods stand in columns of their own beside each other, baselines and bounds marked as such; of a single
-    method the figures stand in columns and the items in rows.  With marks the best value of a row has a star,
-    where it is known what is better; bounds have none.
+    Several methods have a column each, with baselines and bounds marked; of a single method, figures are columns and
+    items are rows.  With marks, the best value of a row has a star if the better direction is known; bounds have none.
     """
     single = sorted((score for score in scores if np.isnan(score.at)), key=_all_first)
     methods = {
@@ -130,7 +129,7 @@ def _text(scores: Sequence[Score]) -> str:
 
 
 def _best(scores: Iterable[Score]) -> set[Score]:
-    """Return the best scores of each figure, part and item, where it is known what is better, and methods compete."""
+    """Return the best scores of each figure, part and item if the better direction is known and methods compete."""
     rows: dict[tuple[str, str, str], list[Score]] = {}
     for score in scores:
         if np.isfinite(score.value) and not is_bound(score.method):
@@ -144,9 +143,9 @@ def _best(scores: Iterable[Score]) -> set[Score]:
 
 
 def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable | None:
-    """Lay out means over the items of each figure, each by its size, in columns by method; None of single items.
+    """Lay out means over the items of each figure, weighted by size, in columns by method; None for single items.
 
-    Where views of an item have their mean as an item of its own (named with "mean of"), those means are taken, so that
+    If the mean over views of an item is an item of its own (named with "mean of"), only these means are used, so that
     every item counts once.
     """
     groups: dict[tuple[str, str], dict[str, list[Score]]] = {}
@@ -162,7 +161,7 @@ def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False
         count = max(len(found) for found in means.values())
         counts.add(count)
         for found in means.values():
-            # A method that is there for some items only is no mean over all of them.
+            # A method with only some of the items has no mean over all of them.
             if len(found) == count:
                 value = weighted_mean((score.value, score.count) for score in found)
                 plain = replace(found[0], low=float("nan"), high=float("nan"))

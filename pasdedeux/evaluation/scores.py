@@ -15,12 +15,12 @@ COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "u
 
 _NUM_DRAWS = 1000
 FEWEST_UNITS = 5
-"""Takes, or other units drawn together, below which there is no interval: two that are alike would seem sure."""
+"""Fewest takes, or other units of resampling, for an interval: two similar ones would give a false certainty."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """One figure of a topic: what was measured, of which method, on what.
+    """One figure of a topic: a metric of a method on some data.
 
     Args:
         metric: Name of the measure.
@@ -50,7 +50,7 @@ class Score:
 
 
 def weighted_mean(values: Iterable[tuple[float, float]]) -> float:
-    """Return the mean of values that each stand for so many things, NaN excluded; NaN of none.
+    """Return the mean of values weighted by counts, without NaN; NaN if there is none.
 
     >>> weighted_mean([(1.0, 3), (5.0, 1)])
     2.0

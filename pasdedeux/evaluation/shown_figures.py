@@ -1,4 +1,4 @@
-"""Figures as people read them: in words, by the names that they are stored under, in a unit of a handy size."""
+"""Stored figures for people: in words, in a convenient unit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pasdedeux.evaluation.names import in_words
 
 
 class FigureLabel(NamedTuple):
-    """The words of a figure with the unit that people read, the factor to that unit, and the format."""
+    """The words of a figure with the displayed unit, the factor to it, and the format."""
 
     words: str
     factor: float
@@ -25,7 +25,7 @@ _SHOWN = {
     "_rad": FigureLabel("degrees", 180.0 / np.pi, ".3g"),
     "_s": FigureLabel("s", 1.0, ".2f"),
 }
-"""By the ending of a figure's name the unit that people read, the factor to it, and the format."""
+"""Displayed unit, factor and format by the ending of a figure's name."""
 
 
 def figure_label(name: str) -> FigureLabel:
@@ -56,7 +56,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def plain(value: Any) -> str:
-    """Return a value as a person reads it."""
+    """Return a value in its displayed unit."""
     if isinstance(value, float | np.floating):
         return "-" if np.isnan(value) else f"{value:.4g}"
     return "-" if value is None else str(value)

@@ -22,7 +22,7 @@ _TURNED_BY = {
     PAIR17.name: {"pelvis": ("left_hip", "right_hip", "spine"), "chest": ("left_shoulder", "right_shoulder", "neck")},
     OP14.name: {"neck": ("left_shoulder", "right_shoulder", "right_hip")},
 }
-"""Joints with several children turn with the line between two of them and with a third; others with their bone."""
+"""Joints with several children follow the line between two of them and a third; others follow their bone."""
 
 
 def skins_json(names: Iterable[str]) -> str:

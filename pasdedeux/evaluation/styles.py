@@ -8,12 +8,12 @@ from zlib import crc32
 from pasdedeux.evaluation.names import base_name, known_methods
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Told apart by people who do not see all colours (Okabe and Ito 2008, without yellow, which is faint on white)."""
+"""Colours safe for colour-blind readers (Okabe and Ito 2008, without yellow, which is faint on white)."""
 MARKERS = ("o", "s", "^", "D", "v", "X", "P", "*")
 
 
 class Style(NamedTuple):
-    """Colour, and marker for those who see no colours, of a method."""
+    """Colour and marker of a method."""
 
     colour: str
     marker: str

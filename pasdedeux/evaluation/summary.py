@@ -12,9 +12,9 @@ from pasdedeux.plain_text import counted, together
 from pasdedeux.verdict import Level, Verdict
 
 _MAX_SKIPPED = 8
-"""Sentences on what was skipped among the last lines of the console, at most; the report and the card have all."""
+"""Most sentences on skipped data among the last lines of the console; the report and the card have all."""
 _MAX_NAMED = 6
-"""Things that share a sentence and are named in it, at most."""
+"""Most names in a sentence that several things share."""
 _USABLE = {Level.PASS: "usable", Level.WARN: "usable, some with warnings", Level.FAIL: "not all usable"}
 _COMPARED = {Level.PASS: "better than {}", Level.WARN: "no better than {}", Level.FAIL: "worse than {}"}
 _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
@@ -41,7 +41,7 @@ _PRODUCTS: Mapping[str, Mapping[str, Mapping[Level, str]]] = {
     "models": {"evaluation: models": _COMPARED},
     "generated motion": {"evaluation: generation": _COMPARED},
 }
-"""What a reader may use: the verdicts on it, or on its parts, and what these say in a few words."""
+"""Products of a run: the verdicts on each, or on its parts, and their meaning in a few words."""
 _ADVICE = {
     Level.PASS: "use {}",
     Level.NOT_JUDGED: "look at {} yourself, which could not be judged",
@@ -64,9 +64,9 @@ class Credit:
 
 @dataclass(frozen=True)
 class Made:
-    """How much there is of one thing: its name in the plural, number, seconds of motion (NaN where none), bytes.
+    """Amount of one product: its name in the plural, number, seconds of motion (NaN if none), bytes.
 
-    `independent` is how many of it are independent of each other and what those are, where not all of them are.
+    `independent` is the number of independent items and their name, if not all are independent.
     """
 
     thing: str
@@ -100,7 +100,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Product:
-    """Something that a reader may use: its name, the verdicts on it, the worst first, and what these say."""
+    """A product of a run: its name and the verdicts on it, the worst first."""
 
     name: str
     verdicts: Mapping[str, Verdict]
@@ -112,7 +112,7 @@ class Product:
 
     @property
     def advice(self) -> str:
-        """What to do with it, with a place for its name; empty where nothing is judged."""
+        """Advice on its use, with a placeholder for its name; empty if nothing is judged."""
         failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL}
         by_result = all(_PRODUCTS[self.name][str(_judge_of(name))] is _USABLE for name in failed)
         if failed and by_result and all(any(row[0] is not Level.FAIL for row in one.tally) for one in failed.values()):
@@ -159,7 +159,7 @@ class Summary:
 
     @property
     def products(self) -> list[Product]:
-        """What a reader may use, the worst first, with the verdicts: on parts of a topic where the whole has none."""
+        """The products, the worst first, with their verdicts: those on parts if the whole topic has none."""
         counted = [name for name in self.verdicts if _judge_of(name) == name or _judge_of(name) not in self.verdicts]
         judged = {
             product: _worst_first({name: self.verdicts[name] for name in counted if _judge_of(name) in judges})
@@ -170,7 +170,7 @@ class Summary:
 
     @property
     def advice(self) -> str:
-        """What to use and what not, in one sentence; empty where there is no product.
+        """Advice on all products in one sentence; empty without a product.
 
         >>> verdicts = {"augmentation": Verdict(Level.PASS), "evaluation: coverage": Verdict(Level.FAIL, "far")}
         >>> Summary([], [], verdicts).advice
@@ -199,7 +199,7 @@ class Summary:
         return _worst_first(first), _worst_first(others)
 
     def headlines(self) -> list[str]:
-        """What a run ends with: what was built, what to use, each product, and each verdict that fails."""
+        """Return the last lines of a run: what was built, advice, each product, and each verdict that fails."""
         failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL or not self.products}
         lines = [*self._answers, *filter(None, [self.advice]), *self._product_lines()]
         lines += [f"{name}: {verdict_words(one)}" for name, one in failed.items()]
@@ -214,13 +214,13 @@ class Summary:
 
     @property
     def good(self) -> list[str]:
-        """Whether it is good, as the page says it: a line for each product, then for each verdict."""
+        """Answer of the page to whether it is good: a line for each product, then for each verdict."""
         return self._product_lines() + [
             f"{name}: {verdict_words(one)}" for part in self.ranked for name, one in part.items()
         ]
 
     def lines(self) -> list[str]:
-        """All of it, a line for each answer, each product, each verdict, and for what was skipped."""
+        """Return all lines: for each answer, each product, each verdict, and for skipped data."""
         skipped = [f"skipped: {sentence}" for sentence in self.skipped[:_MAX_SKIPPED]]
         if (rest := len(self.skipped) - _MAX_SKIPPED) > 0:
             skipped.append(f"skipped: {rest} more, all of them in the report and the card")
@@ -232,7 +232,7 @@ class Summary:
 
 
 def _judge_of(name: str) -> str | None:
-    """Return the verdict on products that one of this name is, or is a part of: the longest that fits."""
+    """Return the judging verdict that a name is, or is a part of: the longest match."""
     return max((start for start in _JUDGES if f"{name} ".startswith(f"{start} ")), key=len, default=None)
 
 

@@ -18,9 +18,9 @@ from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level, Paired, Verdict
 
 FEWEST_BLOCKS = 10
-"""Seconds of motion or stills below which nothing is judged."""
+"""Fewest seconds of motion, or stills, for a judgement."""
 NEGLIGIBLE = 0.01
-"""Differences of means below this part of the baseline's do not matter, however certain they are."""
+"""Differences of means smaller than this share of the baseline's are irrelevant, however certain."""
 _HELD_OUT = "held_out"
 _NOTHING = "no data was held out for it"
 
@@ -33,7 +33,7 @@ class Items:
         values: By method, the figure of each item (item,); NaN where it has none.
         takes: Take of each item, or another unit of which items are alike.
         times_s: Its time within the take, seconds.
-        count: How many things the items are of, where each is of many frames.
+        count: Number of things, if each has many frames as items.
     """
 
     values: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
@@ -61,8 +61,8 @@ class Items:
     ) -> Paired | None:
         """Return the first of these methods that was scored, else the best that is no baseline, beside the baselines.
 
-        Items count that all of them have; bounds, which know the ground truth, are no baselines.  None where no method
-        was scored.
+        Only items that all of them have count; bounds, which know the ground truth, are no baselines.  None where no
+        method was scored.
         """
         finite = {name: found for name, found in self.values.items() if not is_bound(name) and np.isfinite(found).any()}
         sign = -1.0 if is_larger_better else 1.0
@@ -93,7 +93,7 @@ class Items:
 
 
 def lead_interval(paired: Paired, baseline: str) -> tuple[float, float]:
-    """Return where the lead of a method over a baseline lies, larger is better: over takes, or blocks where few."""
+    """Return the interval of a method's lead over a baseline (larger is better): over takes, or blocks if few."""
     return bootstrap_interval(
         _sign(paired) * np.subtract(paired.sums[baseline], paired.sums[paired.method]),
         np.array(paired.sizes, dtype=np.float64),
@@ -116,7 +116,7 @@ def _has_takes(paired: Paired) -> bool:
 
 
 def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
-    """Return the verdict on a method: the rule that holds wherever methods are compared.
+    """Judge a method: the one rule for all comparisons of methods.
 
     The difference to each baseline on the same items has an interval by bootstrap: over takes where there are five,
     else over blocks of 1 s.  Pass where every interval lies on the good side, fail where one lies on the bad side, and
@@ -174,11 +174,11 @@ class Criterion:
         metric: Metric of the scores that are drawn.
         figure: Its name in words.
         unit: Its unit.
-        thing: What items it is over, in the plural.
+        thing: Name of the items, in the plural.
         methods: What is judged: the first of these that was scored; where none is named, the best that is no baseline.
         name: What is judged, where a topic has more than one verdict; empty: the topic itself.
         is_larger_better: For shares and areas; errors are better smaller.
-        limit: What is allowed, where no method stands beside it; NaN where one does.
+        limit: Allowed value if there is no method to compare with; otherwise NaN.
     """
 
     metric: str
@@ -213,10 +213,9 @@ class Criterion:
 
         What the verdict compared is drawn with its means; other methods beside it where they have the same items.
 
-        The goal, named in the caption, is what has to be beaten: the best baseline, or the limit.  Where a part
-        is held out, that alone is drawn.  Where no baseline was scored beside others, methods are drawn that were
-        scored wherever most were.  Bounds, which know the ground truth, are only in tables.  None where there is
-        nothing to compare, as only baselines.
+        The goal, named in the caption, is the best baseline or the limit.  If a part is held out, that alone is drawn.
+        If no baseline was scored beside others, the methods with most parts are drawn.  Bounds, which know the ground
+        truth, are only in tables.  None if there is nothing to compare, such as baselines alone.
         """
         values, counts, unit, plain = self._found(scores)
         own = max((set(values[name]) for name in values if name not in plain), key=len, default=set())
@@ -275,12 +274,12 @@ class Criterion:
 
 
 def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:
-    """Return places without the items of parts that have a figure over all of them, which would count twice."""
+    """Return places without items of parts that also have a figure over all items: they would count twice."""
     return {(split, item) for split, item in places if item == "all" or (split, "all") not in places}
 
 
 def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
-    """Merge verdicts into one, which does not depend on how the work was split and ordered; None if there are none.
+    """Merge verdicts into one, independent of how the work was split and ordered; None if there are none.
 
     Comparisons are made again over all items. Other verdicts give the worst level, how many share it, and their most
     frequent reason; figure and baseline of that reason are means over all items.
@@ -327,7 +326,7 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
 
 
 def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """Return verdicts with those in one that compared the same methods by the same figure."""
+    """Return verdicts, merging those that compared the same methods by the same figure."""
     alone: list[Verdict] = []
     groups: dict[tuple[str, str, tuple[str, ...]], list[Verdict]] = {}
     for verdict in verdicts:
@@ -387,7 +386,7 @@ def part_name(stage: str, partition: str) -> str:
 
 
 def verdict_words(verdict: Verdict | None) -> str:
-    """Return a verdict in one line: the level, why, and the figure that matters beside that of the baseline.
+    """Return a verdict in one line: level, reason, and the decisive figure beside the baseline's.
 
     >>> verdict_words(Verdict(Level.WARN, "hands drift", "contact drift", 0.012, "m", 0.03, "plain kinematics"))
     'warn: hands drift; contact drift 1.2 cm against 3 cm (plain kinematics)'
@@ -396,7 +395,7 @@ def verdict_words(verdict: Verdict | None) -> str:
 
 
 def figure_words(verdict: Verdict) -> str:
-    """Return the figure that matters beside that of the baseline, and how many things it is over; empty without one.
+    """Return the decisive figure beside the baseline's, and the number of things it is over; empty without one.
 
     >>> figure_words(Verdict(Level.PASS, "", "contact drift", 0.012, "m", count=40, thing="variants"))
     'contact drift 1.2 cm, mean of 40 variants'

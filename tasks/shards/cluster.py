@@ -25,7 +25,7 @@ from tasks.shards.profiles import ClusterProfile, await_workers, started
 if TYPE_CHECKING:
     from distributed import Client
 
-DEATHS_ALLOWED = 2  # workers that may die under one shard before it is given up: the third death is its fault
+DEATHS_ALLOWED = 2  # workers that may die computing a shard: the third death is blamed on the shard
 _INSTRUCTIONS = (
     "NUMBA_CPU_NAME",
     "NUMBA_CPU_FEATURES",
@@ -39,9 +39,9 @@ _INSTRUCTIONS = (
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 CONNECT_TIMEOUT_S = 30.0
 is_refused: list[str] = []
-"""Why this process, a worker, may compute nothing for the run that it joined; empty where it may."""
+"""Reason why this worker must not compute for the run that it joined; empty if it may."""
 _REFUSALS = "pasdedeux-refusals"
-"""Under which the scheduler keeps why workers left."""
+"""Topic under which the scheduler keeps the reasons why workers left."""
 _GREETINGS = 3
 
 
@@ -56,7 +56,7 @@ class ClusterSettings:
 
     @property
     def is_shared(self) -> bool:
-        """Tell whether workers may come and go, and lie elsewhere."""
+        """Tell whether workers may join and leave, and run on other machines."""
         return self.scheduler is not None or self.profile is not None
 
 
@@ -76,14 +76,14 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": DEATHS_ALLOWED,
         "distributed.nanny.pre-spawn-environ": environment,
         "distributed.admin.system-monitor.gil.enabled": False,
-        # Stacks taken a hundred times a second, and loops that look at the clock fifty times: nobody reads them.
+        # Profiles sampled a hundred times a second, and ticks fifty times a second: nobody reads them.
         "distributed.worker.profile.enabled": False,
         "distributed.admin.tick.interval": "500ms",
         "distributed.worker.memory.pause": False,
-        # Shards that come after others wait in the queue of priorities as well, with whatever is ready.
+        # Shards that follow others wait in the priority queue, too, with those that are ready.
         "distributed.scheduler.rootish-taskgroup-dependencies": float("inf"),
         "distributed.scheduler.work-stealing-interval": "100ms",
-        # A shard waits at the scheduler, not at a worker, whose death would count against it.
+        # A shard waits at the scheduler: the death of a worker where it waits would count against it.
         "distributed.scheduler.worker-saturation": 1.0,
     }
     with dask.config.set(options):
@@ -127,7 +127,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
 
 @contextmanager
 def _without_asyncio_words() -> Iterator[None]:
-    """Silence asyncio where this block fails: what was cancelled needs no message beside the error."""
+    """Silence asyncio if this block fails: cancelled work needs no message besides the error."""
     try:
         yield
     except BaseException:
@@ -189,7 +189,7 @@ def worker_environment() -> dict[str, str]:
 
 
 def _tether() -> Any:
-    """Return a Dask worker plugin by which every worker, a restarted one too, dies with the process that started it."""
+    """Return a Dask worker plugin that ends every worker, restarted ones too, with the process that started it."""
     from distributed import WorkerPlugin
 
     class Tether(WorkerPlugin):
@@ -201,7 +201,7 @@ def _tether() -> Any:
 
 @contextmanager
 def _no_ctrl_c_for_children() -> Iterator[None]:
-    """Start threads and processes that never see Ctrl-C or SIGHUP: a terminal sends them to all, only this one answers.
+    """Start threads and processes without Ctrl-C and SIGHUP: a terminal sends both to all, only this one reacts.
 
     Both inherit what is blocked here; a signal that comes meanwhile arrives when the block ends.  The resource tracker
     of multiprocessing lifts the block of SIGINT where it is started, so it is started first; it ignores SIGTERM.
@@ -216,7 +216,7 @@ def _no_ctrl_c_for_children() -> Iterator[None]:
 
 
 def _hush_dask() -> None:
-    """Silence the loggers of Dask and its event loop: what a person needs to know comes as an error of ours."""
+    """Silence the loggers of Dask and its event loop: our own errors tell what a person needs to know."""
     for name in list(logging.root.manager.loggerDict):
         if name.split(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -229,7 +229,7 @@ def _die_with_parent() -> None:
 
 
 def _kill_workers(cluster: Any) -> None:
-    """End the workers at once: what they compute is lost, what they committed is not."""
+    """End the workers at once: current work is lost, committed work is not."""
     for nanny in cluster.workers.values():
         process = getattr(nanny, "process", None)
         if process is not None and process.pid:
@@ -238,7 +238,7 @@ def _kill_workers(cluster: Any) -> None:
 
 
 def _only_fit_workers(client: Client, address: str, store_root: str) -> None:
-    """Refuse workers that are not fit for the run, and as long as it lasts those that come later."""
+    """Refuse workers that are unfit for the run, including those that join while it lasts."""
     _check_workers(client, address, store_root)
     rule = f"pasdedeux-only-fit-{client.id}"
     client.register_plugin(_ends_with(client.id, rule), name=f"{rule}-ends")
@@ -246,10 +246,10 @@ def _only_fit_workers(client: Client, address: str, store_root: str) -> None:
 
 
 def _ends_with(run: str, rule: str) -> Any:
-    """Return a Dask scheduler plugin that lifts a rule for workers when the client of its run is gone, also by a kill.
+    """Return a Dask scheduler plugin that lifts a rule for workers when the client of its run is gone, even if killed.
 
     The run's store may be gone tomorrow, and workers of other runs need not have it.  A client whose connection broke
-    and came back, while nothing of its run was in work, has no rule any more.
+    and returned while nothing of its run was in progress has lost its rule.
     """
     from distributed import SchedulerPlugin
 
@@ -280,12 +280,12 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
 
 
 def refusals(client: Client) -> list[str]:
-    """Return why workers left that came to a cluster later, oldest first; also those of runs before this one."""
+    """Return why workers that joined later left, oldest first, including those of earlier runs."""
     return [reason for _, reason in client.get_events(_REFUSALS) or ()]
 
 
 def installed() -> dict[str, str]:
-    """Return what decides results here: versions of packages, digest of the program's sources, pinned instructions."""
+    """Return what determines results here: versions of packages, digest of the sources, pinned instructions."""
     sources = {"sources of pasdedeux": source_digest()[:12]}
     return {"pasdedeux": code_version(), **package_versions(), **sources, **pinned_instructions()}
 
@@ -296,9 +296,10 @@ def pinned_instructions() -> dict[str, str]:
 
 
 def _why_unfit(mine: Mapping[str, str], store_root: str, dask_worker: Any) -> str:
-    """Return why this process, a worker, may compute nothing for a run; empty where it may.
+    """Return why this worker must not compute for a run; empty if it may.
 
-    A process computes one shard at a time, with the packages, sources and instructions of the run, into its store.
+    A process must compute one shard at a time, have the packages, sources and instructions of the run, and write to its
+    store.
     """
     who, theirs = f"worker {dask_worker.address}", installed()
     if dask_worker.state.nthreads != 1:
@@ -319,9 +320,9 @@ def _why_unfit(mine: Mapping[str, str], store_root: str, dask_worker: Any) -> st
 
 
 def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
-    """Return a Dask worker plugin by which a worker that comes later leaves where it is not fit for the run.
+    """Return a Dask worker plugin that makes a worker that joins later leave if it is unfit for the run.
 
-    Dask goes on with a worker whose plugin fails, so it has to leave; shards that come in between go elsewhere.
+    Dask keeps a worker whose plugin fails, so it has to leave; shards sent meanwhile go elsewhere.
     """
     from distributed import WorkerPlugin
 
@@ -338,7 +339,7 @@ def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> No
         is_refused.append(reason)
         logging.getLogger("distributed.worker").error("refused by a run of pasdedeux: %s", reason)
         worker.log_event(_REFUSALS, reason)
-        # Gracefully: what it was given counts as given back, not as a death under a shard.
+        # Gracefully: its shards count as returned, not as killed with it.
         worker.loop.add_callback(worker.close_gracefully, reason="not fit for the run")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 _NAMED = 5
-"""Failed shards that a message names."""
+"""Most failed shards that a message names."""
 
 
 class ShardError(Exception):
@@ -16,7 +16,7 @@ class ShardError(Exception):
         kind: Name of the original error's type.
         reason: The original error's message.
         trace: The original traceback as text, for `--debug`.
-        others: Shards that failed as well, while those that need none of them were computed.
+        others: Other shards that failed while independent ones were computed.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class ShardError(Exception):
 
     @property
     def is_fatal(self) -> bool:
-        """Whether no other shard can do better: the disk is full."""
+        """Whether every other shard would fail, too: the disk is full."""
         return any(error.kind == "FullDisk" for error in (self, *self.others))
 
     def __str__(self) -> str:
@@ -53,7 +53,7 @@ class ClusterError(Exception):
 
 
 class Stopped(Exception):  # noqa: N818 - not an error of its own: another one has been raised already
-    """Work was given up because something else failed or the person interrupted."""
+    """Work was given up because something else failed or the user interrupted it."""
 
 
 def in_one_line(error: BaseException) -> str:

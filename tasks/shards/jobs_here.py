@@ -1,4 +1,4 @@
-"""Jobs of dask-jobqueue on this machine, run as a cluster runs them: by a shell, with what they say kept in a file."""
+"""Jobs of dask-jobqueue on this machine, run as on a cluster: by a shell, with their output in a file."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from distributed.core import Status
 
 _LOOK_AGAIN_S = 0.1
 _QUOTED_BYTES = 2000
-"""Of the end of a job's output that an error quotes."""
+"""Length of the end of a job's output that an error quotes."""
 
 
 class _JobHere(LocalJob):
     """A job.
 
-    Dask-jobqueue's own takes the words of the script for one command, so that a prologue in the language of a shell
-    fails, and leaves the worker before a pipe that nobody reads.
+    Dask-jobqueue's own job runs the words of the script as one command, so a shell prologue fails, and it leaves the
+    worker with a pipe that nobody reads.
     """
 
     async def _submit_job(self, script_filename: str) -> str:
@@ -53,5 +53,5 @@ class JobsHere(LocalCluster):
 
 
 def _read(file: int) -> bytes:
-    """Return all that stands in a file that another process writes to."""
+    """Return the current content of a file that another process writes."""
     return os.pread(file, os.fstat(file).st_size, 0)

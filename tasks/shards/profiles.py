@@ -1,4 +1,4 @@
-"""Profiles of clusters: which kind of Dask cluster a run starts for itself, with what arguments, and how large."""
+"""Profiles of clusters: the class, arguments and size of the Dask cluster that a run starts for itself."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def read_profile(path: Path) -> ClusterProfile:
 
 @contextmanager
 def started(profile: ClusterProfile) -> Iterator[Any]:
-    """Start the cluster for this block; it keeps to its number of workers by itself.
+    """Start the cluster for this block; it maintains its number of workers.
 
     Raises:
         ClusterError: The class is not installed or is none, or the cluster or its first jobs cannot be started.
@@ -71,12 +71,12 @@ def started(profile: ClusterProfile) -> Iterator[Any]:
     except Exception as error:  # noqa: BLE001 - whatever a scheduler of jobs says becomes one sentence
         raise ClusterError(f"{profile.cluster} cannot be started: {in_one_line(error)}") from None
     if isinstance(cluster, SpecCluster):
-        # Adapting submits jobs in a callback whose error nobody sees, and not again: the first are waited for here.
+        # Adapting submits jobs in a callback whose errors are lost, without retrying: wait for the first ones here.
         try:
             cluster.sync(_scaled, cluster, profile.min_workers, callback_timeout=profile.start_s)
         except BaseException as error:
             with suppress(Exception):
-                cluster._created.clear()  # it asserts of every job that it has ended, also of those that never began
+                cluster._created.clear()  # it asserts that every job has ended, even those that never began
                 cluster.close()
             _remove_keys(cluster)
             if not isinstance(error, Exception):
@@ -93,7 +93,7 @@ def started(profile: ClusterProfile) -> Iterator[Any]:
 def _remove_keys(cluster: Any) -> None:
     """Remove keys and certificates that dask-jobqueue wrote for its jobs into a shared folder.
 
-    They are open temporary files, which stay there where the process ends before they are collected.
+    They are open temporary files, which remain if the process ends before they are collected.
     """
     for name, file in vars(cluster).items():
         if name in ("_job_ca_file", "_job_key", "_job_cert"):
@@ -117,7 +117,7 @@ def await_workers(client: Client, profile: ClusterProfile) -> None:
 
 
 def cluster_class(path: str) -> type[Cluster]:
-    """Return a class of Dask clusters by its path; Ctrl-C stays as it is, which dask-jobqueue takes when imported.
+    """Return a class of Dask clusters by its path; Ctrl-C is restored, as importing dask-jobqueue takes it over.
 
     Raises:
         ClusterError: The class is not installed, or is none.

@@ -1,4 +1,4 @@
-"""Runs shards: one in a worker, and the pools that take many: a Dask cluster, or this process alone."""
+"""Running of shards: one in a worker, and pools for many: a Dask cluster, or this process alone."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 RunShard = Callable[[Shard, Store], ArtifactRef]
 
-_FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone
-_COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
-_NO_WORKER_S = 60.0  # how long it may have none after one had to leave
+_FETCH_S = 2.0  # and for a result, which arrives at once unless its worker is gone
+_COUNT_AGAIN_S = 5.0  # how often the workers of a shared cluster are counted, because they join and leave
+_NO_WORKER_S = 60.0  # how long it may have no worker after one had to leave
 _ONE_AT_A_TIME = threading.RLock()
 _BEGUN = set[str]()
 """Stages of which this process has computed a shard."""
-_GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the scheduler learns meanwhile that it does
+_GIVE_BACK_S = 0.1  # wait before a leaving worker returns a shard, until the scheduler knows that it leaves
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class WhereComputed:
 
 
 class Result(NamedTuple):
-    """A worker's answer for a shard: its artifact, the seconds it took, and where, unless it was there."""
+    """A worker's answer for a shard: its artifact, the seconds it took, and where; the latter None if it existed."""
 
     ref: ArtifactRef
     seconds: float
@@ -70,7 +70,7 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class ShardDone:
-    """What a finished shard leaves: its artifact, how long it took in the worker, and where, unless it was there."""
+    """Result of a finished shard: its artifact, the seconds in the worker, and where; the latter None if it existed."""
 
     shard: Shard
     ref: ArtifactRef
@@ -80,7 +80,7 @@ class ShardDone:
 
 @dataclass(frozen=True)
 class ShardFailed:
-    """What a shard leaves that failed, or was not tried because one failed that it comes after: the error names it."""
+    """Result of a shard that failed, or was not tried because one before it failed; the error names the failed one."""
 
     shard: Shard
     error: ShardError
@@ -92,18 +92,16 @@ class ShardFailed:
 
 
 def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Result:
-    """Compute one shard in this process: the only function that workers are sent, with what those before it gave.
+    """Compute one shard in this process, after those before it. Workers are sent only this function.
 
-    Returns the artifact, the seconds it took, and where: one that is there is not computed again, unless it is to be
-    replaced.
-    Whatever goes wrong is raised as a ShardError, which survives the way back from the worker even where the original
-    error would not.
+    Returns the artifact, the seconds it took, and where: an existing artifact is not computed again, unless it is to be
+    replaced. Every error is raised as a ShardError, which can be pickled even if the original error cannot.
 
-    The linear algebra has one thread, also where the process was started with more: sums of several threads are
-    rounded otherwise, and the bytes would differ. A process computes one shard at a time, whatever threads it has: that
-    limit holds for the whole process, and what shards share (evidence of annotations) has room for one search alone.
+    Linear algebra uses one thread even if the process was started with more: sums over several threads round
+    differently, so the bytes would differ. A process computes one shard at a time, whatever its threads: the limit
+    applies to the whole process, and data shared by shards (evidence of annotations) serves one search at a time.
 
-    What shards keep for the next ones is forgotten when a process begins with a stage: mostly the one before is done.
+    Caches of shards are emptied when a process begins another stage, because the previous one is mostly done.
 
     A worker that is not fit for the run gives the shard back to the scheduler: another one computes it.
     """
@@ -136,7 +134,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str, *_: object) -> Resul
 
 
 def _drop_damaged(shard: Shard, store: Store) -> str:
-    """Remove what is damaged of all that a shard comes from, the nearest alone; gives its name, empty where none is."""
+    """Remove the nearest damaged artifact that a shard depends on, and return its name; empty if none is damaged."""
     with suppress(StorageError, InputError, OSError):
         for step in lineage(store, *artifact_fields(shard, store)["inputs"]):
             if step.manifest is not None and store.drop_damaged(step.manifest):
@@ -145,7 +143,7 @@ def _drop_damaged(shard: Shard, store: Store) -> str:
 
 
 class Pool:
-    """Submits shards to a client, Dask's or one like it, and reports how they end.
+    """Submits shards to a Dask client or a similar one, and reports their results.
 
     Args:
         client: Computes what has the highest priority first.
@@ -163,7 +161,7 @@ class Pool:
     def submit(self, run_shard: RunShard, shard: Shard, priority: int, tell: Callable[[Shard], None]) -> None:
         """Submit a shard with the futures of those that it comes after; `tell` is called, in any thread, at its end.
 
-        One that it comes after has a higher priority, and was submitted before or is committed.
+        Shards before it have a higher priority, and were submitted earlier or are committed.
         """
         before = [future for key in shard.after if (future := self._futures.get(key)) is not None]
         # One group for all: the scheduler then keeps every shard in the queue of its priorities until a worker is free.
@@ -175,7 +173,7 @@ class Pool:
         future.add_done_callback(lambda _: tell(shard))
 
     def ended(self, shard: Shard) -> ShardDone | ShardFailed | None:
-        """Return how a shard ended; None where its result was lost with a worker, and it is computed again.
+        """Return the result of a shard; None if it was lost with a worker and is computed again.
 
         Raises:
             ClusterError: There is nobody left to compute.
@@ -186,7 +184,7 @@ class Pool:
         except TimeoutError:
             return None
         except ShardError as error:
-            return ShardFailed(shard, error)  # its future stays: what comes after it fails by it
+            return ShardFailed(shard, error)  # its future stays, so that shards after it fail with it
         del self._futures[shard.key]
         return ended
 
@@ -201,7 +199,7 @@ class Pool:
             self._futures.clear()
 
     def peak_memory_bytes(self) -> int:
-        """Return the most memory that this process, or any that computes, has held."""
+        """Return the most memory that this process, or any that computes, has used."""
         return peak_memory_bytes(None)
 
     def _result(self, future: Any, shard: Shard) -> Result:
@@ -211,7 +209,7 @@ class Pool:
 
 @dataclass(order=True)
 class Call:
-    """A call that `HereClient` has to make."""
+    """A pending call of `HereClient`."""
 
     place: tuple[int, int]
     future: Future[Any] = field(compare=False)
@@ -219,7 +217,7 @@ class Call:
     arguments: tuple[Any, ...] = field(compare=False)
 
     def make(self) -> Result:
-        """Make the call; raises what futures among its arguments failed with."""
+        """Make the call; raise the error of any failed future among its arguments."""
         result: Result
         result = self.function(
             *(argument.result() if isinstance(argument, Future) else argument for argument in self.arguments)
@@ -228,9 +226,9 @@ class Call:
 
 
 class HereClient:
-    """Computes where `work` is called, one call after the other; has of a Dask client what a pool uses.
+    """Computes where `work` is called, one call after the other; has the part of a Dask client that pools use.
 
-    What a call waits for has a higher priority, so it has ended when the call is made.
+    Whatever a call waits for has a higher priority, so it has ended by then.
     """
 
     def __init__(self) -> None:
@@ -273,10 +271,10 @@ class HerePool(Pool):
 
 
 class ClusterPool(Pool):
-    """Computes on the workers of a Dask client, somebody's (`is_shared`) or the run's own.
+    """Computes on the workers of a Dask client, shared with others (`is_shared`) or the run's own.
 
     A shard whose worker dies is sent again by the scheduler; one that kills several workers fails, and is named.
-    `note` is told of workers that come later and are refused.
+    `note` is called with sentences on workers that join later and are refused.
     """
 
     def __init__(
@@ -327,7 +325,7 @@ class ClusterPool(Pool):
                 raise ClusterError(f"{refused[-1]}; no other worker came for {_NO_WORKER_S:g} s")
 
     def _result(self, future: Any, shard: Shard) -> Result:
-        """Return a finished future's result; only `.result()` tells of a dead worker."""
+        """Return a finished future's result; only `.result()` reports a dead worker."""
         from distributed import KilledWorker
 
         try:
@@ -345,7 +343,7 @@ class ClusterPool(Pool):
 
 @contextmanager
 def _scheduler_is_there() -> Iterator[None]:
-    """Say of what a scheduler did not answer that it is gone: ClusterError.
+    """Raise a ClusterError, that the scheduler is gone, for calls that it does not answer.
 
     A call that is cancelled on its way leaves `distributed.utils.sync` without a result: UnboundLocalError.
     """
@@ -360,7 +358,7 @@ def _scheduler_is_there() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _libraries(num_modules: int) -> ThreadpoolController:
-    """Return the libraries with threads of their own; looked for again only where modules were imported since."""
+    """Return the libraries with threads of their own, searched again only after modules were imported."""
     return ThreadpoolController()
 
 

@@ -1,4 +1,4 @@
-"""Stage `training`: models of augmentation, trained on the training set of a split, with what is left for testing."""
+"""Stage `training`: models of augmentation, trained on the training set of a split and tested on the rest."""
 
 from __future__ import annotations
 

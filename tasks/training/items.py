@@ -1,4 +1,4 @@
-"""Variants of a store as the items that models learn from and are judged on."""
+"""Variants of a store as items for training and evaluation of models."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def frame_errors(item: TrainingItem, predicted: Mapping[str, np.ndarray]) -> Ite
 
 @dataclass(frozen=True)
 class _Home:
-    """Where variants lie, and how they were solved."""
+    """Artifact and scales of a variant, and whether it failed."""
 
     ref: ArtifactRef
     bone_scale: np.ndarray

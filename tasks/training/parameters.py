@@ -27,7 +27,7 @@ _SETTINGS_OF_MODELS = {
 
 
 class NamedModel(NamedTuple):
-    """A model to train: which one, its settings, the name of the one that it starts from, the section, the seed."""
+    """A model to train: its class, its settings, the name of the model that it starts from, the section, the seed."""
 
     kind: str
     settings: Settings
@@ -76,7 +76,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
         return self
 
     def named(self) -> dict[str, NamedModel]:
-        """Return the models asked for and those they start from by the names they are kept under, starts first.
+        """Return the requested models and those they start from, by the names they are stored under, starts first.
 
         Raises:
             InputError: What a model starts from is not known or not trained on its splits, models start from each
@@ -118,7 +118,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
 
 
 class TrainingSegmentParameters(Parameters):
-    """What decides one segment of a model's training on a split."""
+    """Parameters that determine one segment of a model's training on a split."""
 
     split: SplitName
     test_takes: tuple[str, ...]
@@ -126,7 +126,7 @@ class TrainingSegmentParameters(Parameters):
     model: str
     settings: SerializeAsAny[Settings]
     segment: int
-    # Not in the key for `body22`: what was trained before there was another skeleton stays as it is.
+    # Not in the key for `body22`, so that models trained before there were other skeletons keep their keys.
     skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
     seed: int = Field(0, exclude_if=lambda seed: seed == 0)
     rejected: dict[str, str] = Field({}, exclude_if=lambda rejected: not rejected)

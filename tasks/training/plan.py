@@ -21,9 +21,9 @@ TRAINING = StageName("training", 14)
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
-    """Plan the segments of every model on every split; of takes that are held out or no pair nothing is learned.
+    """Plan the segments of every model on every split; nothing is learned from takes that are held out or no pair.
 
-    Adding a model or a split computes that one alone.  What is installed where this is planned changes nothing.
+    Adding a model or a split computes that one alone. The plan does not depend on installed packages.
 
     Raises:
         InputError: A split leaves nothing to train on, or nothing to test on.
@@ -74,7 +74,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse models that cannot be, and splits that leave nothing to train or test on, as far as other sections tell.
+    """Refuse impossible models, and splits that leave nothing to train or test on, as far as other sections tell.
 
     Only takes of two people count; where a study has none, there is nothing to split.
 
@@ -106,7 +106,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
 def split_variants(
     name: str, takes: Iterable[Manifest], variants: Iterable[Manifest], test_takes: Sequence[str], seed: int
 ) -> Split:
-    """Split variants as they were planned; which of them failed is not known from manifests.
+    """Split variants as they were planned; manifests do not tell which of them failed.
 
     Raises:
         InputError: The training or the test set is empty.

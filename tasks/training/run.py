@@ -28,7 +28,7 @@ _JUDGED = 24
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Train one segment of a model and commit what it leaves: the model after the last one, the state before.
+    """Train one segment of a model and commit its result: the model after the last segment, a state after the others.
 
     Raises:
         InputError: Every variant to train on failed, training came to numbers that are not finite, or torch is missing.
@@ -137,7 +137,7 @@ def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[]
 
 
 def _judge(name: str, trained: Trained, items: Callable[[], Iterator[TrainingItem]]) -> Verdict:
-    """Return whether a model is better than every baseline over validation variants; the test set is not looked at.
+    """Judge whether a model is better than every baseline over validation variants; the test set is not used.
 
     A baseline is not judged.  A network with a dead layer fails whatever its error.
     """

@@ -1,1 +1,1 @@
-"""Learning: models that give a pair's motion for new body proportions, and the splits they are judged on."""
+"""Learning: models that predict a pair's motion for new body proportions, and the splits for their evaluation."""

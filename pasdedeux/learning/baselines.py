@@ -1,4 +1,4 @@
-"""Models that learn nothing: the source as it is, and plain forward kinematics with the new lengths."""
+"""Models that learn nothing: the unchanged source, and plain forward kinematics with the new lengths."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Untrained(VariantModel):
 
 
 class CopyModel(_Untrained):
-    """Return the source back, whatever the proportions."""
+    """Return the source, whatever the proportions."""
 
     name = "copy"
 

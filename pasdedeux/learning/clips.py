@@ -11,13 +11,13 @@ CLIP_HZ = 10.0
 CLIP_FRAMES = 20
 """Frames of a clip that the classifier sees."""
 HISTORY, HORIZON = 20, 10
-"""Frames that the predictor knows, and those that it predicts."""
+"""Frames given to the predictor, and frames that it predicts."""
 _STRIDE = 5
 """A clip begins every half second."""
 
 
 def pair_frame(motion_m: Array, frame: int) -> Array:
-    """Return motions (*batch, T, 2, 22, 3) about the middle of both pelvises in a frame, A facing B along x there."""
+    """Return motions (*batch, T, 2, 22, 3) about the middle of both pelvises in a frame, A facing B along x."""
     pelvises = motion_m[..., frame, :, BODY22.root, :]
     middle = pelvises.mean(axis=-2)
     across = pelvises[..., 1, :] - pelvises[..., 0, :]
@@ -39,8 +39,8 @@ def clips_of(
         motion_m: The motion.
         rate_hz: Its frames per second.
         num_frames: Frames of a clip.
-        frame: Frame of the clip that gives its pair's frame; the middle one if not stated.
-        is_held: A motion that is shorter is held still at its end; otherwise it has no clip (n = 0).
+        frame: Frame of the clip that defines its pair's frame; by default the middle one.
+        is_held: Hold the last pose of a shorter motion; otherwise it has no clip (n = 0).
     """
     times = np.arange(0.0, (len(motion_m) - 1) / rate_hz + 1e-9, 1.0 / CLIP_HZ) * rate_hz
     below = np.minimum(times.astype(int), max(len(motion_m) - 2, 0))
@@ -54,15 +54,15 @@ def clips_of(
 
 
 def exchange(clips: Array) -> Array:
-    """Return clips (n, T, 2, 22, 3), metres, whose A is B and whose B is A, in the frame of the pair."""
+    """Return clips (n, T, 2, 22, 3), metres, with A and B exchanged, in the frame of the pair."""
     return pair_frame(clips[:, :, ::-1], clips.shape[1] // 2)
 
 
 def joint_errors(predicted: Array, true: Array) -> tuple[Array, Array]:
     """Return JME and AME (n, T), centimetres, of motions (n, T, 2, 22, 3), metres (Guo et al. 2022).
 
-    JME is the mean distance of joints in the frame of the pair.  AME is that after each person's pose is laid onto the
-    true one by the rigid motion that fits best (Kabsch 1976), so it is of poses alone, not of where people are.
+    JME is the mean distance of joints in the frame of the pair.  AME is the same after each person's pose is aligned
+    with the true one by the best rigid motion (Kabsch 1976), so it measures poses alone, not places.
     """
     jme = np.linalg.norm(predicted - true, axis=-1).mean(axis=(-2, -1))
     first, other = (motion - motion.mean(axis=-2, keepdims=True) for motion in (predicted, true))

@@ -16,7 +16,7 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import Skeleton
 
 _FADE_S = 1.0
-"""Before the first and after the last key frame, what they change fades out over this time, seconds."""
+"""Before the first and after the last key frame, the change fades out over this time, seconds."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class KeyFrames:
             raise InputError("key frames: a position is not finite")
 
     def check(self, name: str, num_frames: int, skeleton: Skeleton) -> None:
-        """Refuse key frames that are not of a take of so many frames.
+        """Refuse key frames that do not fit a take of so many frames.
 
         Raises:
             InputError: A frame outside the motion, or poses of another skeleton.
@@ -73,7 +73,7 @@ class KeyFrames:
     def bend(self, motion_m: Array, rate_hz: float) -> Array:
         """Return a motion of B (T, J, 3), metres, that goes through the key frames.
 
-        What is added runs from key frame to key frame without overshoot and fades out beyond them.
+        The change is interpolated between key frames without overshoot and fades out beyond them.
         """
         from scipy.interpolate import PchipInterpolator  # here: planning need not wait for it
 
@@ -92,7 +92,7 @@ def read_key_frames(data: bytes, what: str) -> KeyFrames:
         what: Its name, for messages.
 
     Raises:
-        InputError: It is no such file.
+        InputError: The file is not of this form.
     """
     try:
         content = json.loads(data)

@@ -1,6 +1,6 @@
 """`mesh_refine`: a few iterations of the interaction mesh's guaranteed descent, from where another model puts the pair.
 
-With enough iterations it is the solver itself; a start is worth as much as the iterations it saves.
+With enough iterations it equals the solver; a start is worth the iterations that it saves.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WindowProblems = tuple[list[slice], list[MeshProblem]]
 
 
 class MeshRefineSettings(Settings):
-    """From where, and how far."""
+    """Settings of the refinement: its start, and the number of iterations."""
 
     start: str = Field("naive_fk", description="Model, or form of one, that gives the start")
     num_iterations: int = Field(4, ge=0, le=1000, description="Iterations, whether accepted or refused")
@@ -65,7 +65,7 @@ class MeshRefineModel(VariantModel):
 
     @classmethod
     def train(cls, training: Training) -> Trained:
-        """Learn nothing beside what the start learned."""
+        """Learn nothing; only the start learns."""
         assert training.start is not None
         return Trained(cls(training.start, training.options(MeshRefineSettings).num_iterations))
 
@@ -81,7 +81,7 @@ class MeshRefineModel(VariantModel):
         return cls(built_on, MeshRefineSettings.model_validate(config).num_iterations)
 
     def predict(self, request: VariantRequest) -> Array:
-        """Return where descent comes to; a long take is refined in the solver's windows."""
+        """Return the motion after descent; a long take is refined in the solver's windows."""
         start_m = self.first.predict(request)
         return refine(request, self._problems(request), start_m, self.num_iterations).motion_m
 

@@ -41,7 +41,7 @@ _CM = 100.0
 _MM = 1000.0
 SHARE = "E_r_of_best_baseline"
 OF_QUALITY = tuple(FIGURES[name] for name in ("stance_excursion_m", "penetration_m", "jerk_ratio"))
-"""Figures of a variant's quality that a model has too, lengths in millimetres."""
+"""Figures of a variant's quality that models have too, lengths in millimetres."""
 UNITS: Mapping[str, str] = {
     **{"E_r": "cm", "E_b": "mm", "JPD": "cm", "PWD": "cm"},
     **{"contact_error": "mm", "contact_error_p95": "mm", "energy_gap": "%"},
@@ -56,11 +56,11 @@ SOLVER = "solver"
 GENERATED = "generated"
 """Item of figures of motions for scales that a model drew itself, and of baselines at these scales."""
 _NEAREST_M = 0.1
-"""Distances below this weigh alike."""
+"""Distances below this have the same weight."""
 
 
 def key_contacts(contacts: Contacts, *, max_pairs: int = 3) -> Contacts:
-    """Return the contacts of people that last longest, at the mean of their places, as those of a single frame.
+    """Return the longest-lasting contacts of people, at the mean of their places, as contacts of a single frame.
 
     Args:
         contacts: The contacts of a take.
@@ -122,7 +122,8 @@ def generated_errors(
 ) -> dict[str, float]:
     """Return E_b and JPD of a motion for scales (2, 22) that have no true motion.
 
-    Bones are beside the source's times their scales, distances of key pairs beside those of the source (T, 2, 22, 3).
+    Bones are compared with the source's times their scales, distances of key pairs with those of the source (T, 2, 22,
+    3).
     """
     return {
         "E_b": _length_error_mm(motion_m, bone_scale * bone_lengths(skeleton, source_m), skeleton),
@@ -156,9 +157,9 @@ def generated(
 ) -> dict[str, list[tuple[Array, Array]]]:
     """Return scales (2, 22) and a motion (T, 2, 22, 3), metres, that each model draws for a take.
 
-    Each draws from a stream of its own, by its name, so that none changes with which others there are.  Baselines
-    and closed forms have a motion at the scales of each of them; models that draw nothing have none, as all where none
-    draws.
+    Each draws from its own stream, by its name, so that it does not depend on the other models.  Baselines and closed
+    forms have a motion at the scales of each of them. Other models that draw nothing have none; without a model that
+    draws, nobody has any.
     """
     drawn = {name: model.generate(request.source, streams(name)) for name, model in models.items()}
     made = {name: [found] for name, found in drawn.items() if found is not None}
@@ -170,7 +171,7 @@ def generated(
 
 
 class ModelMeter:
-    """Measures predictions for one take; what belongs to the take is made once.
+    """Measures predictions for one take; data of the take are computed once.
 
     Args:
         request: Any request for the take: its source, how it is solved, its known contacts.
@@ -188,7 +189,7 @@ class ModelMeter:
 
     @cached_property
     def contacts(self) -> Contacts:
-        """Contacts of the take: those known of it where some are, otherwise those found."""
+        """Contacts of the take: the stated ones if there are any, otherwise those found."""
         source, request = self._request.source, self._request
         known = [contact for contact in request.contacts if contact.weight > 0.0 and not contact.is_of_floor]
         if known:
@@ -197,7 +198,7 @@ class ModelMeter:
 
     @cached_property
     def keys(self) -> Contacts:
-        """Key contacts of the take, those that last longest."""
+        """Key contacts of the take: the longest-lasting ones."""
         return key_contacts(self.contacts)
 
     def key_names(self) -> str:

@@ -1,4 +1,4 @@
-"""What every model of augmentation does: from the source's motion and new proportions to the motion of both people."""
+"""The protocol of augmentation models: from the source's motion and new proportions to the motion of both people."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from pasdedeux.skeletons import BODY22, MODEL_SKELETONS, JointMap, Skeleton
 
 S = TypeVar("S", bound=Settings)
 Arrays = Mapping[str, npt.NDArray[Any]]
-"""Named arrays, float64 or float32: what a model knows, or what its training goes on from."""
+"""Named arrays, float64 or float32: the parameters of a model, or the state from which its training continues."""
 Config = Mapping[str, Any]
-"""What decides a model's architecture, as JSON has it."""
+"""Configuration of a model's architecture, as JSON values."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class VariantRequest:
     """The input of a model: one take with new proportions.
 
     Args:
-        take_id: Name of the take; a model may know it from training.
+        take_id: Name of the take, by which a model may know it from training.
         source: The take's own motion, T frames.
         bone_scale: Scale of each bone (2, 22), the root's being the root height's; J for the 22 of another skeleton.
-        solving: How variants of the take are solved, for models that ask the solver.
+        solving: How variants of the take are solved, for models that use the solver.
         contacts: Contacts stated for the take, in place of what is found.
 
     Raises:
@@ -87,12 +87,12 @@ Items = Callable[[], Iterator[TrainingItem]]
 
 
 VALIDATION_FALL = "validation_fall"
-"""Quantity of the log: by how much a segment brought the smallest validation error down, percent."""
+"""Quantity of the log: reduction of the smallest validation error by a segment, percent."""
 
 ACTIVITY = "activity/"
 """Prefix of activities in the log, before the name of a rectifier: share of its outputs above 0, percent."""
 _MIN_ACTIVITY = 1.0
-"""Percent; a layer with less activity is dead and passes no information on."""
+"""Percent; a layer with less activity is dead: it transmits no information."""
 
 
 @dataclass(frozen=True)
@@ -115,15 +115,15 @@ class NoSettings(Settings):
 
 @dataclass(frozen=True)
 class Training:
-    """One segment of a model's training, and what it rests on.
+    """One segment of a model's training, with its inputs.
 
     Args:
-        items: What is learned from.
-        validation: What a model may choose by, such as when to stop; never learned from, never tested on.
+        items: Items of the training set.
+        validation: Items for choices of the model, such as when to stop; never learned from, never tested on.
         settings: Settings of the model; its defaults where not given.
-        generator: Gives whatever is drawn in this segment.
+        generator: Source of all randomness in this segment.
         segment: Number of the segment, from 0.
-        state: What the segment before left; empty in the first.
+        state: State after the segment before; empty in the first.
         start: The trained model that this one builds on, where `VariantModel.start` names one.
         device: Where a network is trained: "cpu", "cuda", or "auto", a GPU where there is one.
     """
@@ -147,7 +147,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a segment leaves: the model as good as it is by then, figures, what the next goes on from, the device."""
+    """Result of a segment: the best model so far, figures, the state for the next segment, the device."""
 
     model: VariantModel
     log: list[LogEntry] = field(default_factory=list)
@@ -169,15 +169,15 @@ class VariantModel(ABC):
     settings: ClassVar[type[Settings]] = NoSettings
     """Model of its settings."""
     is_trained: ClassVar[bool] = True
-    """It learns from the items; one that does not can be trained on nothing."""
+    """It learns from the items; a model that does not can be trained without any."""
     has_exact_bones: ClassVar[bool] = False
     """Every motion has the source's bone lengths times the requested scales, to rounding."""
     needs_torch: ClassVar[bool] = False
     """It needs the extra `learning`."""
     takes_key_frames: ClassVar[bool] = False
-    """It gives A's motion for B's, and so takes key frames of B."""
+    """It predicts A's motion from B's, and therefore accepts key frames of B."""
     is_of_any_skeleton: ClassVar[bool] = False
-    """It can be of any of `MODEL_SKELETONS`, that of the takes it is trained on; otherwise of `body22` alone."""
+    """It supports all of `MODEL_SKELETONS`, using that of its training takes; otherwise `body22` alone."""
 
     @property
     def skeleton(self) -> Skeleton | None:
@@ -196,7 +196,7 @@ class VariantModel(ABC):
 
     @classmethod
     def num_segments(cls, settings: Any) -> int:
-        """Return in how many segments it is trained; a training that is killed loses one."""
+        """Return the number of segments of its training; a killed training loses one at most."""
         return 1
 
     @classmethod
@@ -204,27 +204,27 @@ class VariantModel(ABC):
     def train(cls, training: Training) -> Trained:
         """Return the model after one segment of training.
 
-        It reads the items as often as it likes and holds few.
+        It may read the items repeatedly and should hold few.
 
         Raises:
             InputError: There is nothing to train on, for a model that needs it.
         """
 
     def config(self) -> Config:
-        """Return what decides the model's architecture."""
+        """Return the configuration of the model's architecture."""
         return {}
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what the model learned, as named float64 or float32 arrays.
+        """Return the learned parameters as named float64 or float32 arrays.
 
-        What it is built on is not in them; see `model_arrays`.
+        Those of the model that it is built on are added by `model_arrays`.
         """
         return {}
 
     @classmethod
     @abstractmethod
     def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
-        """Return the model that these are of: it predicts the same to the last bit.
+        """Return the model with these arrays: it predicts the same to the last bit.
 
         Raises:
             InputError: An array is missing or does not fit.
@@ -235,7 +235,7 @@ class VariantModel(ABC):
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion of both people (T, 2, 22, 3), metres, of the request's T frames; always finite.
 
-        Takes that it was not trained on are answered too.
+        It also accepts takes that it was not trained on.
 
         Raises:
             InputError: A take that it was trained on has another number of frames, or the take another skeleton.
@@ -251,7 +251,7 @@ class VariantModel(ABC):
     ) -> tuple[Array, Array] | None:
         """Return scales (2, 22) and a motion (T, 2, 22, 3) drawn for them; None of a model that draws nothing.
 
-        See `sample_motion`, which checks what is given: scales of B (22,), drawn where None, and key frames of B.
+        See `sample_motion`, which checks the arguments: scales of B (22,), drawn if None, and key frames of B.
         """
         return None
 
@@ -285,12 +285,12 @@ def mapped_source(source: Source, joints: JointMap) -> Source:
 def mapped_item(item: TrainingItem, joints: JointMap, source: Source) -> TrainingItem:
     """Return an item of `body22` on another skeleton: its motion, and its scales.
 
-    A bone's scale is what plain forward kinematics on `body22` makes of its median length.  Stated contacts, which name
-    bones of `body22`, are dropped.
+    A bone's scale is the change of its median length by plain forward kinematics on `body22`.  Stated contacts, which
+    name bones of `body22`, are dropped.
 
     Args:
         item: The item.
-        joints: What the joints follow from.
+        joints: Definition of the joints.
         source: What `mapped_source` gives of its take, the same for all of its items.
     """
     request = item.request

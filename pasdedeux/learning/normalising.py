@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Mean and standard deviation (joint, 3) of positions, metres; what never moves is divided by one.
+    """Mean and standard deviation (joint, 3) of positions, metres; coordinates that never change are divided by one.
 
     Raises:
         InputError: They are not finite, or not of one shape.
@@ -32,7 +32,7 @@ class Normaliser:
 
     @classmethod
     def of(cls, chunks: Iterable[npt.NDArray[Any]]) -> Normaliser:
-        """Return that of rows (n, joint, 3), in chunks of which one is in memory; what is not finite does not count.
+        """Return that of rows (n, joint, 3), reading a chunk at a time; values that are not finite do not count.
 
         Sums are of float64.
 

@@ -38,11 +38,11 @@ MODELS: dict[str, type[VariantModel]] = {
 """Every model, by name: a new one is a file with a `VariantModel` and a line here (and its import)."""
 
 BASELINES = (CopyModel.name, NaiveFkModel.name)
-"""Models that learn nothing and stand beside every result."""
+"""Models that learn nothing; every result is compared with them."""
 
 DEFAULT_MODELS = (CopyModel.name, NaiveFkModel.name, RidgeScaleModel.name)
-"""Trained by default, as it takes seconds, and what a model has to beat: the baselines and the
-closed form, mixed over takes where a take is not learned from."""
+"""Models trained by default, because it takes seconds, and to be beaten by others: the baselines and the closed form,
+mixed over takes if a take is not learned from."""
 
 
 def model_class(name: str) -> type[VariantModel]:
@@ -57,7 +57,7 @@ def model_class(name: str) -> type[VariantModel]:
 
 
 class ModelDescription(Settings):
-    """What a trained model is beside its arrays: its name, what decides its architecture, what it builds on."""
+    """A trained model without its arrays: its name, its configuration, and the model that it builds on."""
 
     model: str
     config: dict[str, Any] = Field({})
@@ -65,13 +65,13 @@ class ModelDescription(Settings):
 
 
 def describe(model: VariantModel) -> ModelDescription:
-    """Return what `load_model` needs beside the arrays."""
+    """Return the description that `load_model` needs besides the arrays."""
     built_on = None if model.built_on is None else describe(model.built_on)
     return ModelDescription(model=model.name, config=dict(model.config()), built_on=built_on)
 
 
 def model_arrays(model: VariantModel) -> dict[str, npt.NDArray[Any]]:
-    """Return everything a model learned, with what it is built on under `built_on/`."""
+    """Return all learned arrays of a model, with those of the model that it is built on under `built_on/`."""
     arrays = model.arrays()
     if model.built_on is not None:
         arrays |= {f"{_BUILT_ON}{name}": values for name, values in model_arrays(model.built_on).items()}
@@ -113,11 +113,11 @@ class Weights:
 
 
 _VERSION = 1
-"""Version of the files; one without is of the first."""
+"""Version of the files; a file without one has the first."""
 
 
 class _Versioned(Settings, extra="ignore"):
-    """What a newer file has too, whatever else is in it."""
+    """The part of the metadata that every later version has, too."""
 
     version: int = _VERSION
 

@@ -1,7 +1,7 @@
 """`ridge_adapted`: `ridge_scale`, and for an unseen take a quadratic of its own, from near variants solved for it.
 
 Solving 18 variants of a take once costs what 18 variants cost; any number of others then are a product of matrices.
-Bones are exact: the quadratic says where they point.
+Bones are exact: the quadratic gives their directions.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ with a reach of 0.1 by 1.12 and 0.81, with 0.05 by 2.33 and 1.33.
 
 @dataclass
 class RidgeAdaptedModel(VariantModel):
-    """What `ridge_scale` learned, and how takes that it does not know are adapted to.
+    """`ridge_scale`, with adaptation to takes that it does not know.
 
     Args:
         seen: `ridge_scale`, for the takes that were trained on.
@@ -56,7 +56,7 @@ class RidgeAdaptedModel(VariantModel):
 
     @classmethod
     def train(cls, training: Training) -> Trained:
-        """Take what `ridge_scale` learned; the rest is learned at prediction."""
+        """Take over the trained `ridge_scale`; the rest is learned at prediction."""
         assert isinstance(training.start, RidgeScaleModel)
         return Trained(cls(training.start))
 

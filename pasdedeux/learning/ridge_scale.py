@@ -46,9 +46,9 @@ class RidgeScaleModel(VariantModel):
     """Quadratic coefficients of each take it was trained on, and the mix for others.
 
     Args:
-        is_by_group: Features are the scales of each limb group; of whole people where training varied nothing finer.
+        is_by_group: Features are the scales of each limb group, or of whole people if training varied nothing finer.
         coefficients: Per take (feature, T, 2, 22, 3), metres.
-        mix: How much of each joint's plain displacement each joint takes (44, 44), or of another skeleton's joints.
+        mix: Share of each joint's plain displacement in that of each joint (44, 44), or of another skeleton's joints.
     """
 
     name = "ridge_scale"
@@ -102,7 +102,7 @@ class RidgeScaleModel(VariantModel):
         return Trained(model, log)
 
     def config(self) -> Config:
-        """Return the kind of features."""
+        """Return the configuration: the kind of features."""
         return {"is_by_group": self.is_by_group}
 
     def arrays(self) -> dict[str, Array]:

@@ -22,7 +22,7 @@ NUM_STEPS = 2
 
 @dataclass(frozen=True)
 class Sample:
-    """A body and a motion that a model gives for it, as decoded: its bones are not exact yet.
+    """A body and its motion as decoded by a model: its bones are not exact yet.
 
     Args:
         bone_scale: Scales (2, J), those of A 1, the root's following the legs.
@@ -64,7 +64,7 @@ def sample_motion(
         scale = key_frames.bone_scale(source) if scale is None else scale
     plain = np.ones((2, source.skeleton.num_joints))
     given = plain if scale is None else np.stack([plain[0], scale])
-    # Checked before anything is decoded: two people, scales of this skeleton.
+    # Check before decoding: two people, scales of this skeleton.
     request = VariantRequest(take_id or source.name, source, complete_scales(source, given[None])[0])
     drawn = model.generate(source, generator, scale=scale, key_frames=key_frames)
     if drawn is not None:
@@ -75,7 +75,7 @@ def sample_motion(
 
 
 class VariantSampler:
-    """A trained model and a take, ready for any number of variants, every one measured as the solver's are.
+    """A trained model and a take, prepared for any number of variants, which are measured like the solver's.
 
     Args:
         model: The trained model.

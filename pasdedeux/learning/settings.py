@@ -1,6 +1,6 @@
 """Settings of the networks, without torch: studies can be read where it is not installed.
 
-What the papers of `paper_cvae` and of the models that it was compared with leave open is chosen here, in one place.
+Choices that the papers of `paper_cvae` and of the models compared with it leave open are made here.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class SegmentSettings(Settings):
 
     @property
     def num_segments(self) -> int:
-        """In how many segments it is trained."""
+        """Number of segments of the training."""
         return -(-self.num_steps // self.segment_steps)
 
 

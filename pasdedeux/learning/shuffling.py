@@ -1,8 +1,8 @@
-"""The order in which windows are shown: shuffled over many clips, known without being written out.
+"""The order of windows in an epoch: shuffled over many clips, and computed on demand.
 
-Clips are shuffled, and the windows of so many clips at a time among each other.  So any stretch of an epoch is known
-from a few numbers a clip, whoever asks for it: a loader shares batches among workers and ranks, or goes on in the
-middle, and nothing is read for that.  Windows of one group lie near each other on the disk.
+Clips are shuffled, and the windows of so many clips at a time among each other.  So any part of an epoch follows from a
+few numbers per clip: a loader can distribute batches among workers and ranks, or resume in the middle, without reading
+anything.  Windows of one group lie near each other on the disk.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Splits of variants into training, validation and test set (Li et al. 2024, section 5.1; validation is ours).
 
-What a model is chosen by, or stopped by, is validation: never learned from, never tested on.
+Validation serves to choose or stop a model: it is never learned from, never tested on.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class VariantKey:
-    """A variant as splits see it: its take, its name, its scales (2, 22), and what interaction the take is of.
+    """A variant for splits: its take, its name, its scales (2, 22), and the interaction of the take.
 
     Takes of one interaction, such as two waltzes, are never on both sides of a split across interactions, whichever of
-    them are named as test takes or held out; a take of none is one of its own.
+    them are named as test takes or held out; a take without one counts as its own interaction.
     """
 
     take_id: str
@@ -68,7 +68,7 @@ class VariantKey:
 
     @property
     def reach(self) -> float:
-        """How far its furthest bone is from scale 1."""
+        """Largest distance of a bone's scale from 1."""
         return abs(self.furthest_scale - 1.0)
 
 
@@ -189,7 +189,7 @@ def _is_beyond(key: VariantKey) -> bool:
 
 
 def _part(keys: Sequence[VariantKey], is_in: Callable[[VariantKey], bool]) -> tuple[list[VariantKey], list[VariantKey]]:
-    """Return those for which something holds, and the others."""
+    """Return the variants with a property, and the others."""
     return [key for key in keys if is_in(key)], [key for key in keys if not is_in(key)]
 
 

@@ -2,8 +2,8 @@
 
 They condition on one body, so the scaled person is B, with roles swapped where it is A; variants of both are not
 learned from, and where both are scaled the displacements for either are added.  The motion predicted is that of the
-mean of the prior; `generate` draws scales, and z.  What the encoders know, z of the answer itself, is for comparison
-alone and stands in the log of training beside z drawn from the prior.
+mean of the prior; `generate` draws scales, and z.  The z that encoders make of the answer itself is for comparison
+alone; the training log has its errors beside those of z drawn from the prior.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 Narrow = npt.NDArray[np.float32]
 
 _VALIDATED = 48
-"""Windows of validation variants that training looks at."""
+"""Number of windows of validation variants used in training."""
 _SMALLEST_DEVIATION = 0.01
-"""Scales that hardly vary are not blown up."""
+"""Smallest deviation by which scales are divided, so that nearly constant ones are not amplified."""
 _SAME_SCALE = 1e-4
 
 
@@ -90,7 +90,7 @@ class WindowVae(VariantModel):
     @classmethod
     @abstractmethod
     def learned_scales(cls, bone_scale: Narrow) -> Narrow:
-        """Return what is kept (n, J) of the scales of training (V, J)."""
+        """Return the statistics (n, J) that are stored of the training scales (V, J)."""
 
     @abstractmethod
     def condition(self, bone_scale: npt.NDArray[np.floating]) -> Narrow:
@@ -123,7 +123,7 @@ class WindowVae(VariantModel):
             raise InputError(
                 f"{cls.name}: there is no variant of one scaled person to train on; check split and scales"
             )
-        # Windows of a take shorter than the others would not stack; a batch is of one length.
+        # Windows of shorter takes cannot be stacked with others, so a batch has one length.
         longest = max(len(window.frames) for window in windows)
         whole = [window for window in windows if len(window.frames) == longest]
         known = cls.learned_scales(np.concatenate([window.bone_scale for window in whole]))
@@ -217,7 +217,7 @@ class WindowVae(VariantModel):
         return request.bone_scale, self._finish(request, source.positions_m + moved)
 
     def _finish(self, request: VariantRequest, motion_m: Array) -> Array:
-        """Return the motion that an output of the network stands for."""
+        """Return the motion that an output of the network represents."""
         return motion_m
 
     def batch(self, windows: list[Window], variants: list[int]) -> dict[str, Narrow]:
@@ -319,9 +319,9 @@ class PaperCvaeModel(WindowVae):
         return np.asarray(mean + deviation * self.network.scales(z)[0])
 
     def figures(self, batch: Mapping[str, Narrow]) -> dict[str, float]:
-        """Return figures of generation, scales from p(B_s) and z from the prior: its bones beside the requested ones.
+        """Return figures of generation, scales from p(B_s) and z from the prior: bones compared with the requested.
 
-        There is no true motion; scales should vary as those of training do.
+        There is no true motion; scales should vary like those of training.
         """
         drawn = self.network.scales(batch["noise_s"])
         mean, deviation = self.known_scales
@@ -340,7 +340,7 @@ class PaperCvaeModel(WindowVae):
 class _ClassVae(WindowVae):
     """A model of motion from a class, as Li et al. (2024, section 5.3) adapted them; `known_scales` are the classes'.
 
-    It knows scales only as names: each that was trained on is a class, and one that was not is taken for the nearest.
+    It knows scales only as labels: each scale of training is a class, and others take the nearest class.
     """
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Windows of takes and their variants, as models that look at a few seconds see them: one body scaled, in its own axes.
+"""Windows of takes and their variants for models of a few seconds: one body scaled, in axes of their own.
 
 A window is a stretch of a take at ten frames a second.  Its axes lie where the two are in its first frame: the origin
 on the floor between their roots, the second person along x.  The person who is scaled is the second; where it is A,
@@ -31,7 +31,7 @@ class Window:
     Args:
         take_id: The take.
         person: Who is scaled.
-        frames: Which of the sampled frames (T,).
+        frames: Numbers of its sampled frames (T,).
         template_m: The source's motion (T, 2, 22, 3), metres.
         axes: The window's axes as columns in the world (3, 3).
         variants_m: Motions of variants (V, T, 2, 22, 3), metres; none where they are to be predicted.
@@ -48,7 +48,7 @@ class Window:
 
 
 def sampled_frames(source: Source) -> npt.NDArray[np.int64]:
-    """Return the frames of a take that models see, the first and the last among them."""
+    """Return the frames of a take that are sampled for models, including the first and the last."""
     stride = max(round(source.rate_hz / RATE_HZ), 1)
     return np.unique(np.append(np.arange(0, source.num_frames, stride), source.num_frames - 1))
 

@@ -1,4 +1,4 @@
-"""A two-person ST-GCN that tells interactions apart: extractor of features, and the recognition of the downstream task.
+"""A two-person ST-GCN that classifies interactions: extractor of features, and recogniser of the downstream task.
 
 Yan et al. (2018), small and with links to the partner: a clip's joints pass graph convolutions over themselves, their
 bones and the partner's same joints, each followed by a convolution over time; means over everything are the features.
@@ -33,7 +33,7 @@ _KERNEL = 5
 _NUM_LINKS = 3
 """Oneself, along bones, the partner's same joint."""
 _CLIPS_PER_STEP = 24
-"""Clips of a step of training, drawn from all classes alike."""
+"""Clips of a step of training, drawn from all classes equally often."""
 _CLIPS_AT_ONCE = 64
 
 
@@ -119,7 +119,7 @@ def train_classifier(
 ) -> ClipClassifier:
     """Train on clips (n, 20, 2, 22, 3), metres, by class.
 
-    A and B change places at random, unless classes tell who of them is who.
+    A and B are exchanged at random, unless classes depend on their roles.
 
     Raises:
         InputError: Fewer than two classes, a class without clips, or training came to numbers that are not finite.

@@ -34,19 +34,19 @@ _MLP2 = (256, 128, 64, 32)
 _W1, _W2, _W3 = 0.75, 0.1, 0.05
 _W4 = 1.0 - _W1 - _W2 - _W3
 _UNIT_M = 0.05
-"""Unit of changes inside the network, about what joints move by."""
+"""Unit of changes inside the network: a typical displacement of joints."""
 _NEAR_M = 0.1
-"""Joints of the partner nearer than this weigh alike."""
+"""Joints of the partner nearer than this have the same weight."""
 _KNOWN = 64
 """Inputs of each joint about all others: their ends, and the scaled body or its motion."""
 _EACH = 13
-"""Numbers that a decoder over plain kinematics is given in each frame, a joint."""
+"""Inputs of a decoder over plain kinematics, per frame and joint."""
 _FREE_NATS = 0.1
 """Divergence of an axis of z, mean over windows, below which it costs nothing [Kingma et al. 2016, free bits]."""
 
 
 class InteractionCvae(WindowNetwork):
-    """The network for sizes that the settings say; the condition is standardised scales (W, 22)."""
+    """The network with the sizes of the settings; the condition is standardised scales (W, 22)."""
 
     chains: Tensor
 
@@ -113,7 +113,7 @@ class InteractionCvae(WindowNetwork):
         return torch.stack([self._decode_a(batch, z_a, self._seen_by_a(batch, b), b), b], 2)
 
     def scales(self, z: Narrow) -> Narrow:
-        """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
+        """Return standardised scales of bones (W, 22) decoded from latents (W, 256); the root's is 0."""
         with torch.no_grad():
             scales = np.zeros((len(z), self.skeleton.num_joints), np.float32)
             scales[:, self.bones] = self.mlp2(torch.from_numpy(z)).numpy()
@@ -133,7 +133,7 @@ class InteractionCvae(WindowNetwork):
         )
 
     def _seen_by_a(self, batch: Batch, moved_b: Tensor) -> Tensor:
-        """Return what A knows of B (W, 22, width): its motion as ST-GCN3 sees it, and its change where it is given."""
+        """Return the features of B for A (W, 22, width): its motion by ST-GCN3, and its change if given."""
         if self.settings.architecture == "scales_for_a":
             return batch["condition"][..., None].expand(-1, -1, self.settings.width)
         b_m = batch["template_m"][:, :, 1] + moved_b

@@ -19,7 +19,7 @@ Narrow = npt.NDArray[np.float32]
 Batch = Mapping[str, Tensor]
 
 NUM_SINES = 8
-"""Numbers that say which frame it is, where nothing else needs more."""
+"""Size of the encoding of frame numbers if nothing else requires more."""
 
 
 class WindowNetwork(nn.Module):
@@ -92,7 +92,7 @@ def activity(network: WindowNetwork, batch: Batch) -> dict[str, float]:
 def initialise(network: nn.Module, generator: np.random.Generator) -> None:
     """Draw first parameters: matrices uniform within 1 / sqrt(inputs), biases 0, masks of edges and scales of norms 1.
 
-    The last layer of a decoder, its `out`, begins at 0, so that what it decodes begins as no change at all.
+    The last layer of a decoder, `out`, starts at 0, so that the decoded change is 0 at first.
     """
     for name, parameter in network.named_parameters():
         value = np.zeros(parameter.shape, np.float32)
@@ -105,7 +105,7 @@ def initialise(network: nn.Module, generator: np.random.Generator) -> None:
 
 
 def sines(num_frames: int, size: int = NUM_SINES) -> Tensor:
-    """Return which frame it is as sines and cosines (T, size) of 10000^(-2 k / size) t [Vaswani et al. 2017]."""
+    """Return frame numbers as sines and cosines (T, size) of 10000^(-2 k / size) t [Vaswani et al. 2017]."""
     rates = 10000.0 ** (-2.0 * torch.arange(size // 2) / size)
     phases = torch.arange(num_frames)[:, None] * rates
     return torch.cat([phases.sin(), phases.cos()], -1)
@@ -161,8 +161,8 @@ class _StGcnBlock(nn.Module):
 class StGcn(nn.Module):
     """Features (W, J, width) of motions (W, T, J, inputs), the mean over time [Yan et al. 2018].
 
-    Each block but the first keeps every second frame of the one before.  What is not pooled keeps all frames,
-    (W, T, J, width).
+    Each block but the first keeps every second frame of the one before.  Without pooling all frames are kept, (W, T, J,
+    width).
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class StGcn(nn.Module):
 
 
 class GraphGru(nn.Module):
-    """Outputs of frame after frame (W, T, J, outputs), each the last one and what is added to it.
+    """Outputs frame by frame (W, T, J, outputs), each the previous one plus a change.
 
     Gated recurrent units of all joints whose states are mixed along a learned graph [Li et al. 2020, DMGNN]; columns of
     gates are in the order reset, update, candidate.

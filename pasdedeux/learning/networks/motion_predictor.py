@@ -1,9 +1,9 @@
 """Prediction of a pair's next second: DCT, graph convolutions and attention to motion history (Mao et al. 2020).
 
-The last half second is compared with every half second of the 2 s before; what followed those, as DCT coefficients, is
-added up by likeness and goes with the coefficients of the last pose, held still, through graph convolutions, which give
-the change of these.  Ours are the sizes (5 frames compared, 10 predicted at 10 Hz, 48 channels, two hidden layers), the
-learning rate, and that both people are one graph of 132 coordinates.
+The last half second is compared with every half second of the 2 s before. The continuations of these, as DCT
+coefficients, are summed by similarity and pass with the coefficients of the last pose, held still, through graph
+convolutions, which give the change of the latter.  Ours are the sizes (5 frames compared, 10 predicted at 10 Hz, 48
+channels, two hidden layers), the learning rate, and that both people are one graph of 132 coordinates.
 """
 
 from __future__ import annotations

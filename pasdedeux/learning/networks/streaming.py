@@ -1,4 +1,4 @@
-"""What torch's `DataLoader` must know of data that come as a stream."""
+"""Registration of data streams for torch's `DataLoader`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 
 def register_stream(kind: type) -> None:
-    """Let `DataLoader` take objects of a class, which has `__iter__`, for streams."""
+    """Let `DataLoader` treat objects of a class, which has `__iter__`, as streams."""
     IterableDataset.register(kind)
 
 

@@ -18,7 +18,7 @@ from pasdedeux.learning.settings import NetworkSettings, WindowSettings
 
 Narrow = npt.NDArray[np.float32]
 Draw = Callable[[], tuple[Mapping[str, Narrow], str]]
-"""Return the next batch, and where it is from in words, for when a step goes wrong."""
+"""Return the next batch, with its origin in words for messages on errors."""
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 _CPU = torch.device("cpu")
@@ -30,7 +30,7 @@ def adam(network: nn.Module) -> torch.optim.Adam:
 
 
 def find_device(name: str, wanted: str) -> torch.device:
-    """Return the device that is meant by "cpu", "cuda" or "auto", a GPU where there is one.
+    """Return the device for "cpu", "cuda" or "auto" (a GPU if there is one).
 
     Raises:
         InputError: A GPU is asked for and there is none.
@@ -50,14 +50,14 @@ def fit(
     steps: range,
     device: torch.device = _CPU,
 ) -> float:
-    """Take some of the steps of a training, on the network's device or one thread, and return the mean loss.
+    """Take some training steps, on the network's device or one thread, and return the mean loss.
 
     Raises:
         InputError: A loss is not finite, or the parameters after the last step are not.
     """
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(device == _CPU)  # on a GPU some sums have no fixed order
-    # 5 % of a step, and nothing reads what it fills.
+    # Filling takes 5 % of a step, and nothing reads the values.
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     (group,) = optimiser.param_groups
     total = 0.0

@@ -23,15 +23,15 @@ from pasdedeux.verdict import Level, Verdict
 MODEL = "model"
 """Solver of a variant that a trained model made."""
 FAR_APART_M = 1.0
-"""People whose joints never come closer than this do not interact; their variants are solved all the same."""
+"""People whose joints never come closer than this do not interact; their variants are solved nevertheless."""
 _FAILED = 2
 """Verdict of a frame that failed."""
 _LONGEST_FRAMES = 1200
 """Windows of a fast take are shorter."""
 _FRAME_BYTES = 200_000
-"""What a window of two people that is ready keeps a frame: terms, mesh, factors of both rates."""
+"""Memory per frame of a prepared window of two people: terms, mesh, factors of both rates."""
 _KEPT_BYTES = 300_000_000
-"""Windows of a take are kept ready up to this."""
+"""Most memory for prepared windows of a take."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Variant:
         estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None unless `solver` is `bulk`.
         solver: `bulk`, `polished`, `plain_fk` when bulk failed, or `model`.
         num_iterations: Iterations of the solver.
-        verdict: Whether it is good, and why not.
+        verdict: Its verdict with reasons.
     """
 
     variation: Variation
@@ -68,9 +68,9 @@ class Variant:
 
 
 class Augmenter:
-    """A take that is ready for any number of variants: mesh, terms and factor are computed once.
+    """A take prepared for any number of variants: mesh, terms and factor are computed once.
 
-    A long take is solved in windows; then only the last few windows are kept ready.
+    A long take is solved in windows, of which only the last few stay in memory.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Augmenter:
         """Measure and judge a motion, of the solver or of a model.
 
         Args:
-            variation: What it was made for.
+            variation: The variation that it realises.
             positions_m: The motion (T, P, 22, 3), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres; 0 where not given.
             solved: Fields of `Variant` that say how it was solved; without them it counts as made by a model.

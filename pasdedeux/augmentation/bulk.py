@@ -3,10 +3,10 @@
 The splitting z_e = p_child - p_parent puts the exact bone length (and the girdle's rigidity) on z, where it is a
 projection onto a sphere; what is left for p is the quadratic energy, whose matrix never changes.
 
-What is left of the error after a few iterations is smooth in time and takes hundreds more to go.  So most of the work
+The error that remains after a few iterations is smooth in time and needs hundreds more to vanish.  So most of the work
 is done at 10 frames a second (`coarse`), where an iteration costs little, with Anderson acceleration (Anderson 1965;
-Zhang et al. 2019 for ADMM), whose least squares look a second or two around: what holds a variant up in one place does
-not wait for another.  A few iterations at all frames end it, and a forward-kinematics projection makes bones exact.
+Zhang et al. 2019 for ADMM), whose least squares look a second or two around: slow convergence in one place does not
+delay another.  A few iterations at all frames end it, and a forward-kinematics projection makes bones exact.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))
 _PENALTY = 8.0
 """ADMM penalty on bone vectors, in units of the Laplacian weight."""
 _CONTACT_PENALTY = 0.15
-"""What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all edges the iteration
-swings wherever contacts are dense."""
+"""Increase of an edge's penalty per unit of contact weight at its ends; with the same penalty for all edges the
+iteration oscillates wherever contacts are dense."""
 _CLEARANCE_PENALTY = 0.12
 """Penalty of near bones per unit of their weight."""
 _RELAXATION = 1.4
@@ -59,35 +59,35 @@ _MOST_ITERATIONS = 300
 _COARSE_HZ = 10.0
 """Rate at which most of the work is done."""
 _FEWEST_COARSE = 8
-"""Takes of fewer frames than this at that rate are not thinned out."""
+"""Takes with fewer frames than this at that rate are solved at all frames."""
 _MEMORY = 6
-"""Moves that Anderson acceleration looks back on."""
+"""Number of previous moves that Anderson acceleration uses."""
 _REACH_S = 2.0
-"""How far its least squares look around: a frame counts by 1/e less for every such time."""
+"""Time constant of its least squares: the weight of a frame falls by 1/e for every such time."""
 _RIDGE = 1e-7
 """Ridge of the least squares, as a share of the trace."""
 _FIRST_MIX = 5
 """Iterations before the first acceleration."""
 _SMALL_SCALE = 0.7
-"""Bones scaled by less than this are reached in two steps, the second from twice the way of the first."""
+"""Scales below this are reached in two steps, the second starting at twice the change of the first."""
 _COMPARED_EVERY = 2
-"""Frames of which one enters the least squares, whose solution serves all of them."""
+"""Of so many frames one enters the least squares, whose solution is used for all of them."""
 _WORTH_LEAVING = 0.75
-"""Variants that have ended leave the batch when not more than this share of it is left: to leave costs copies."""
+"""Finished variants leave the batch once at most this share of it remains, because leaving costs copies."""
 _TINY_M = 1e-9
-"""Added to lengths that something is divided by, metres."""
+"""Added to lengths used as divisors, metres."""
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """When a variant has settled; means over frames, of edges and of joints.
+    """Criteria of convergence of a variant; means over frames, of edges and of joints.
 
     Args:
         checked_every: Iterations between checks.
         change_m: It has when edges change by less than this in an iteration, metres.
         stalled_m: It also has when they change by less than this,
-        moved_m: and joints moved by less than this since the last check: somewhere bones swing between touching and
-            not, which moves nothing else.
+        moved_m: and joints moved by less than this since the last check: some bones oscillate between touching and not,
+            which moves nothing else.
     """
 
     checked_every: int
@@ -99,7 +99,7 @@ class _Settled:
 _COARSE_END = _Settled(10, 1e-5, 1e-4, 1e-4)
 _FINE_END = _Settled(4, 2e-5, 3e-5, 3e-5)
 _MOST_FINE = 24
-"""Most iterations at all frames, which see what is faster than the coarse rate shows."""
+"""Most iterations at all frames, for motion faster than the coarse rate shows."""
 _GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 250.0, 2.0
 """Mean joint distance from the optimum over the last change of the edges at either rate, so that the sum is an upper
 bound: of 42 variants over seven takes it was too small for none, typically 2 to 3 mm where the gap is 0.2 to 0.8."""
@@ -107,7 +107,7 @@ bound: of 42 variants over seven takes it was too small for none, typically 2 to
 
 @dataclass(frozen=True)
 class BulkResult:
-    """What the bulk solver gives.
+    """Result of the bulk solver.
 
     Args:
         positions: Positions with exact bones (variant, T, n, 3), metres.
@@ -121,7 +121,7 @@ class BulkResult:
 
 
 class _Factored:
-    """A problem with its factor, at which variants are iterated."""
+    """A problem with its factor, on which variants are iterated."""
 
     def __init__(self, problem: MeshProblem, dtype: type[np.floating]) -> None:
         self.problem, self.dtype = problem, dtype
@@ -173,7 +173,7 @@ class _Factored:
         """Return where the iteration starts.
 
         Args:
-            targets: What the variants are to reach.
+            targets: Targets of the variants.
             start: x (T, point, 3, variant) and v of the edges (T, edge, 3, variant) less r's; plain forward kinematics
                 where not given.
         """
@@ -213,7 +213,7 @@ class _Factored:
             begun.state[rows] = begun.kept - begun.between
             return
         begun.state[rows] = _pair_vectors(contacts, frame, x)
-        # Near bones get the v they have when x stays: its dual is the pull they feel.
+        # Near bones get the v of an unchanged x: their dual is then the force on them.
         frame = np.repeat(np.arange(len(near.first) - 1), np.diff(near.first))
         rows = np.arange(len(frame)) + self.num_edges * (frame + 1) + contacts.first[frame]
         vectors = _pair_vectors(near, frame, x)
@@ -245,7 +245,7 @@ class _Factored:
     def edges_moved(self, now: Batch) -> Array:
         """Return how far the edges' v moved in the last iteration (variant,), metres.
 
-        It is the mean of each frame's root mean square, as a few frames may swing for ever.
+        It is the mean of each frame's root mean square, because a few frames may oscillate for ever.
         """
         return mean_change(now.change, self.form.first, self.num_edges)
 
@@ -261,7 +261,7 @@ def _pair_vectors(pairs: BonePairs, frame: Integers, x: AnyFloat) -> AnyFloat:
 
 
 class _Acceleration:
-    """Anderson acceleration of one iteration: the moves it looks back on and their inner products."""
+    """Anderson acceleration of one iteration: previous moves and their inner products."""
 
     def __init__(self, form: Form, now: Batch, rate_hz: float) -> None:
         self._form = form
@@ -283,7 +283,7 @@ class _Acceleration:
         self._memory, self._gram = Memory(*_select(self._memory, variants)), self._gram[..., variants]
 
     def mix(self, now: Batch) -> None:
-        """Take what the last moves explain of this change out of the state."""
+        """Subtract from the state the part of this change that the last moves explain."""
         memory, slot = self._memory, self._made % _MEMORY
         self._made += 1
         if self._made == 0:
@@ -300,15 +300,15 @@ class _Acceleration:
 
 
 def _select(parts: Iterable[AnyFloat], variants: npt.NDArray[np.intp]) -> Iterator[AnyFloat]:
-    """Return what belongs to some of the variants, which come last."""
+    """Return the part of some of the variants, which are the last axis."""
     return (np.ascontiguousarray(part[..., variants]) for part in parts)
 
 
 class BulkSolver:
-    """The factors of a take, ready for any number of batches of variants.
+    """The factors of a take, prepared for any number of batches of variants.
 
     Args:
-        problem: What the variants share.
+        problem: The problem shared by the variants.
         dtype: Precision of the iteration; targets and the final projection stay in 64 bits.
     """
 
@@ -323,7 +323,7 @@ class BulkSolver:
         self._fine = _Factored(problem, dtype) if self._thinning else self._coarse
 
     def solve(self, targets: Targets) -> BulkResult:
-        """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
+        """Solve a batch of variants; the result of each does not depend on the others, to the last bit."""
         most = _MOST_ITERATIONS
         ended = self._solve_coarse(targets.bone_scale, most)
         estimate, iterations = _GAP_PER_COARSE_CHANGE * ended.change_m, ended.num_iterations
@@ -337,7 +337,7 @@ class BulkSolver:
         return BulkResult(positions=positions, estimated_gap_m=estimate, num_iterations=iterations)
 
     def _solve_coarse(self, bone_scale: Array, most: int) -> _Ended:
-        """Return where variants end at the coarse rate; those with very small bones begin half of the way there."""
+        """Return the result of variants at the coarse rate; those with very small bones start half-way."""
         level = self._coarse
         is_far = bone_scale.min(axis=(1, 2)) < _SMALL_SCALE
         near = np.where(is_far.reshape(-1, 1, 1), 0.5 * (1.0 + bone_scale), bone_scale)
@@ -360,7 +360,7 @@ class _Ended:
     Args:
         offsets: x (T, point, 3, variant), metres.
         edges: v of the edges less r's (T, edge, 3, variant), metres.
-        change_m: How far edges still change at the last iteration (variant,), metres.
+        change_m: Change of edges in the last iteration (variant,), metres.
         num_iterations: Its number (variant,).
     """
 
@@ -379,7 +379,7 @@ def _settle(
     *,
     is_accelerated: bool,
 ) -> _Ended:
-    """Iterate until every variant hardly changes, `most` times at most; those that have ended leave the batch."""
+    """Iterate until every variant hardly changes, `most` times at most; finished variants leave the batch."""
     frames, count = level.problem.num_frames, now.state.shape[-1]
     ended = _Ended(
         offsets=np.zeros((frames, level.num_points, 3, count), level.dtype),
@@ -422,7 +422,7 @@ def _edges(num_people: int) -> tuple[Integers, int]:
 
 
 def _edge_penalties(problem: MeshProblem, edges: Integers) -> Array:
-    """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
+    """Return the penalty of each edge (T, edge): as stiff as the terms at its ends, or the iteration oscillates."""
     contact = np.zeros((problem.num_frames, problem.source.num_points))
     at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), at_ends)

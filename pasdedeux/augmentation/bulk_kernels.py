@@ -1,12 +1,12 @@
 """Inner loops of the bulk solver, variants innermost.
 
-Loops read and write a handful of arrays at most, as LLVM asks of each two whether they are one before it takes lanes.
+Loops read and write few arrays, because LLVM checks each two of them for aliasing before it vectorises.
 No fast-math: fused or reordered operations would round differently in the vector body of a loop and in its rest, and so
 make a variant depend on its place in the batch.
 
 An iteration's arrays of rows (row, 3, variant) hold for each frame, one frame after the other, a row for each edge, for
-each pair of near bones and for each contact: in `state` v = z + u of the first two, what x makes of the vector of the
-third; in `aim` z - u.  All are of x = p - r: an edge's vector is its row and that of r.
+each pair of near bones and for each contact: in `state` v = z + u of the first two, the vector by x of the third; in
+`aim` z - u.  All are of x = p - r: an edge's vector is its row and that of r.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class BonePairs(NamedTuple):
 
 
 class Form(NamedTuple):
-    """What the variants of a take share.
+    """Data shared by the variants of a take.
 
     Args:
         first: First row of each frame (T + 1,).
@@ -226,7 +226,7 @@ def advance(form: Form, now: Batch) -> None:
 
 @inner_kernel()
 def _combine(pairs: BonePairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, row: int) -> None:
-    """Leave what x of a frame's points makes of a pair's vector in a row of `vectors`."""
+    """Write a pair's vector, by x of a frame's points, to a row of `vectors`."""
     a, b, c, d = pairs.points[e, 0], pairs.points[e, 1], pairs.points[e, 2], pairs.points[e, 3]
     p, q, r, s = pairs.shares[e, 0], pairs.shares[e, 1], pairs.shares[e, 2], pairs.shares[e, 3]
     for k in range(vectors.shape[1]):
@@ -304,7 +304,7 @@ def fade_over_time(values: Array, keep: float) -> None:
 def mix(
     form: Form, gram: Array, pulls: Array, used: int, stride: int, ridge: float, moves: AnyFloat, state: AnyFloat
 ) -> None:
-    """Take away from the state what its last moves (m, row, 3, variant) explain of the change (Anderson 1965).
+    """Subtract from the state the part of the change that its last moves (m, row, 3, variant) explain (Anderson 1965).
 
     In every `stride`-th frame the shares of the moves solve the ridged least squares with matrix `gram`
     (m, m, T, variant) and right-hand side `pulls` (m, T, variant).
@@ -337,7 +337,7 @@ def mix(
 
 @inner_kernel()
 def _solve_shares(gram: Array, pulls: Array, used: int, ridge: float, lower: Array, trace: Array, x: Array) -> None:
-    """Leave in `x` (m, variant) the solution of (gram + ridge trace) x = pulls, by Cholesky."""
+    """Write the solution of (gram + ridge trace) x = pulls to `x` (m, variant), by Cholesky."""
     count = pulls.shape[1]
     trace[:] = 1e-30
     for i in range(used):

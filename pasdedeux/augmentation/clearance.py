@@ -1,12 +1,12 @@
-"""Clearance: bones near each other in the source, of two people or of one, that may not come deeper into each other.
+"""Clearance: bones near each other in the source, of two people or one, must not penetrate each other more deeply.
 
 Bodies are capsules round the bones (`plausibility`).  For every two bones that come near each other the source gives
 the two nearest points on their axes and the direction between them; a variant's distance of the same two points along
 that direction may not fall below the source's less the gap there was.  So the term is a one-sided square of something
-linear in the positions: convex, without switching, and a source that penetrates already is no worse off.  Nearest
-points and directions are averaged over a moment, as they jump where bones are parallel; pairs fade in with distance.
-Pairs that only follow what a next bone does (`standing_out`) weigh little: a shorter shank on a back brings the knee
-nearer to it, which may not lift the shank.
+linear in the positions: convex, without switching, and harmless for a source that already penetrates.  Nearest points
+and directions are averaged over a moment, as they jump where bones are parallel; pairs fade in with distance. Pairs
+that only follow what a next bone does (`standing_out`) weigh little: a shorter shank on a back brings the knee nearer
+to it, which must not lift the shank.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _SMALLEST_WEIGHT = 1e-2
 
 
 _NEAR_M = (0.03, 0.1)
-"""Distance of the surfaces of two bones in the source: full weight up to the first, none from the second on.  Wide, for
-other bodies come nearer where the source's do not: what stays apart costs nothing."""
+"""Distance of the surfaces of two bones in the source: full weight up to the first, none from the second on.  Wide,
+because other bodies may come nearer than the source's; bones that stay apart cost nothing."""
 _FOLLOWING = 0.1
-"""Share of its weight that a pair of two people's bones keeps where a next bone is much closer."""
+"""Share of its weight that a pair of two people's bones keeps if a next bone is much closer."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of nearest points and directions over time."""
 
@@ -107,7 +107,7 @@ def separations(clearance: Clearance, points_m: Array) -> Array:
 def clearance_limits(clearance: Clearance, reference_m: Array) -> Array:
     """Return the smallest n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, n, 3).
 
-    Bones of one person are allowed what the new proportions do by themselves: limbs that shrink stay as thick.
+    Within a person, penetration by the new proportions alone is allowed: shorter limbs keep their thickness.
     """
     allowed = np.where(clearance.is_within, clearance.limits_m, np.maximum(clearance.limits_m, 0.0))
     limits = allowed - separations(clearance, reference_m)

@@ -1,4 +1,4 @@
-"""A take thinned out in time: what plain forward kinematics misses is smooth, and most of it shows at a few hertz.
+"""A take at a lower rate: corrections of plain forward kinematics are smooth, mostly below a few hertz.
 
 Within a frame every term stays as it is; terms between frames are those of the longer step, so a motion without
 anything faster has the same mean energy per frame.  The difference x = p - r goes back to all frames by cubic
@@ -28,7 +28,7 @@ class Thinning:
 
     Args:
         problem: The problem at n of the frames, evenly spaced.
-        neighbours: The four of them that each frame of the take is interpolated from (T, 4).
+        neighbours: The four of these from which each frame of the take is interpolated (T, 4).
         shares: Their shares (T, 4); they sum to 1.
     """
 
@@ -78,7 +78,7 @@ def interpolate(thinning: Thinning, values: npt.NDArray[np.floating]) -> npt.NDA
 
 
 def _at(packed: Packed, frames: Indices) -> Packed:
-    """Return pairs packed by frame, at some frames."""
+    """Return the pairs of some frames."""
     return replace(packed, **{field.name: getattr(packed, field.name)[frames] for field in fields(packed)})  # type: ignore[type-var, arg-type]
 
 

@@ -1,8 +1,8 @@
 """Contacts in the energy: two points keep the distance of their surfaces, and a little of their direction.
 
-When bodies of other sizes touch, points can stay as far apart as they were though their vectors must turn: a hug of a
-smaller body has the same distances in other directions.  With z the vector of a contact, v the source's, stretched to
-the wanted length D, and k the share of the direction,
+When bodies of other sizes touch, points can keep their distance although their vectors must turn: a hug of a smaller
+body has the same distances in other directions.  With z the vector of a contact, v the source's, stretched to the
+wanted length D, and k the share of the direction,
 
     k |z - v|^2 + (1 - k) (|z| - D)^2 = min over unit vectors u of |z - (k v + (1 - k) D u)|^2 + const,
 
@@ -56,6 +56,6 @@ class ContactTerm(Term):
         )
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
-        """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
+        """Add half the Gauss-Newton curvature, without the second derivative of the distance."""
         units, _ = self._units(positions_m)
         normal.stencils.append((self.contacts.points, self.contacts.shares, self.weights, units))

@@ -1,6 +1,6 @@
-"""The energy of one variant as terms of a fit, and the guaranteed solver, whose energy never rises; bones are exact.
+"""The energy of one variant as terms of a fit, and the solver with guaranteed descent; bones are exact.
 
-The terms rest on what `terms` adds up for a take, from which the bulk solver works too: each formula stands once.
+The terms use the sums of `terms` for a take, as the bulk solver does, so each formula is written once.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def fit_terms(problem: MeshProblem, targets: Targets, variant: int) -> list[Term
 
 
 def _constant(problem: MeshProblem, single: Targets) -> float:
-    """Return what the quadratic terms weigh at x = 0, where nothing is left of them but their targets."""
+    """Return the energy of the quadratic terms at x = 0, which depends on their targets alone."""
     difference = single.difference[0]
     parts = (
         weights.LAPLACIAN * laplacian_residual(problem, single, np.zeros((1, *difference.shape))) ** 2,

@@ -1,4 +1,4 @@
-"""Exact bone lengths for points that are a little off: by direction, or by the least displacement."""
+"""Exact bone lengths for approximate points: along their directions, or by the least displacement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.skeletons import BODY22, Skeleton
 
 _STEPS_TO_NEAREST = 2
-"""Newton steps; on motion that closed forms predict, a third and more change mean errors by less than 0.1 %."""
+"""Newton steps; a third and more change mean errors of closed-form predictions by less than 0.1 %."""
 
 
 def project_to_bones(
@@ -18,9 +18,9 @@ def project_to_bones(
 ) -> Array:
     """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
 
-    The pelvis stays; a bone without direction points up.  With `is_nearest`, all joints first move as little as they
-    can to have these lengths: length errors do not add up along limbs, and motion that has other bones by mistake comes
-    nearer to the one that has these.
+    The pelvis stays; a bone without direction points up.  With `is_nearest`, all joints first move as little as
+    possible to have these lengths, so that length errors do not add up along limbs, and motion with wrong bones comes
+    nearer to the true one.
     """
     points = np.array(points, np.float64, order="C")
     if is_nearest:
@@ -36,9 +36,9 @@ def project_to_bones(
 
 @compiled()
 def _meet_lengths(people: Array, parents: Integers, bones: Integers, lengths_m: Array, num_steps: int) -> None:
-    """Move joints of `people` as little as they can, over all joints together, until bones have other lengths.
+    """Move the joints of `people` as little as possible, over all joints, until bones have these lengths.
 
-    With u the directions of the bones, a step moves joints by -J^T (J J^T)^-1 (what lengths are off), where row e of J
+    With u the directions of the bones, a step moves joints by -J^T (J J^T)^-1 (error of lengths), where row e of J
     is u_e at the end of bone e and -u_e at its begin: Newton's step to the constraint of least squared displacement.
     J J^T is eliminated from the tips of the limbs on, so nothing is filled in beyond bones that share a joint.
 
@@ -47,7 +47,7 @@ def _meet_lengths(people: Array, parents: Integers, bones: Integers, lengths_m: 
         parents: Parent of each joint (J,), -1 for the root.
         bones: Child joints of the bones (E,), children first.
         lengths_m: Length of the bone that ends in each joint (variant, P, J), metres.
-        num_steps: How many steps.
+        num_steps: Number of steps.
     """
     count = len(bones)
     unit, matrix, off = np.empty((count, 3)), np.empty((count, count)), np.empty(count)

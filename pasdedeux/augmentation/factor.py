@@ -1,12 +1,12 @@
-"""The factor that all variants of a take share: a block form of the banded Cholesky, made for many right-hand sides.
+"""The factor shared by all variants of a take: a block form of the banded Cholesky for many right-hand sides.
 
 Frames are interleaved with the n joints (half-bandwidth 2 n).  Two frames form a block of 2 n, in which the matrix is
 block tridiagonal; its Schur complements are inverted once, and a solve is two matrix products a block, over all
 variants at once.  LAPACK's banded solve takes one right-hand side at a time and is several times slower for a hundred
 variants.
 
-The products are written here, in LLVM's vectors, and not left to BLAS: its kernels for AVX2 round a column by its place
-among the others, also where their number is fixed, and the iteration grows that to a tenth of a millimetre.
+The products are written here, in LLVM's vectors, instead of BLAS: its kernels for AVX2 round a column by its place
+among the others, even if their number is fixed, and the iteration amplifies that to a tenth of a millimetre.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
 
 @inner_kernel()
 def _couple_before(work: Array, before: Array, lag1: Array, lag2: Array) -> None:
-    """Take away from right-hand sides of a block (2 n, column) what the solution of the block before contributes."""
+    """Subtract from the right-hand sides of a block (2 n, column) the contribution of the block before."""
     size, width = work.shape
     for i in range(size):
         own, same, c = work[i], before[i], lag2[i]
@@ -109,7 +109,7 @@ def _couple_before(work: Array, before: Array, lag1: Array, lag2: Array) -> None
 
 @inner_kernel()
 def _couple_after(work: Array, after: Array, lag1: Array, lag2: Array) -> None:
-    """Leave in `work` what the solution of the next block (2 n, column) contributes to a block."""
+    """Write the contribution of the next block's solution (2 n, column) to a block into `work`."""
     size, width = work.shape
     for i in range(size):
         own, same, c = work[i], after[i], lag2[i]
@@ -126,7 +126,7 @@ def _couple_after(work: Array, after: Array, lag1: Array, lag2: Array) -> None:
 def _multiply_tile(_: Any, matrix: Any, row: Any, right: Any, column: Any, product: Any) -> Any:
     """Set a tile of a product: each entry sums over k in order, and each step rounds twice, without FMA.
 
-    So an entry has the same bits in any place and on any processor.
+    So an entry has the same bits in every place and on every processor.
     """
     from llvmlite import ir
     from numba.core import cgutils, types
@@ -170,7 +170,7 @@ def _multiply(matrix: Array, right: Array, product: Array) -> None:
 
 @compiled()
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers) -> None:
-    """Do `solve`; columns of all axes follow each other, up to whole tiles, as loops take lanes of many alone."""
+    """Do `solve`; columns of all axes are concatenated and padded to whole tiles, for vectorised loops."""
     blocks, size, _, count = rhs.shape
     width = -(-len(axes) * count // _COLUMNS) * _COLUMNS
     work, solved = np.zeros((size, width), rhs.dtype), np.zeros((size, width), rhs.dtype)
@@ -202,6 +202,6 @@ def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers)
 def solve(factor: Factor, rhs: Array, axes: Integers) -> None:
     """Solve in place for some of the axes of right-hand sides (block, 88, axis, count), of the factor's precision.
 
-    A column is the same to the last bit whatever the others are and wherever it stands among them.
+    A column is the same to the last bit whatever the others and its place among them.
     """
     _solve(factor.inverse, factor.lag1, factor.lag2, rhs, axes)

@@ -64,10 +64,10 @@ def delaunay_edges(points: Array) -> Flags:
 def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
     """Mesh every frame of the source.
 
-    Weights are 1/d^2 with d^2 >= 1e-4 m^2, normalised per joint.  The bones are always edges, so a joint is never left
-    out.  With `smoothing_s` the weights are averaged over time by a Gaussian of that standard deviation: Delaunay edges
-    come and go from frame to frame, and an edge that appears at full weight makes the motion jump.  The published
-    method takes each frame alone (`smoothing_s` 0).
+    Weights are 1/d^2 with d^2 >= 1e-4 m^2, normalised per joint.  The bones are always edges, so no joint is isolated.
+    With `smoothing_s` the weights are averaged over time by a Gaussian of that standard deviation: Delaunay edges come
+    and go from frame to frame, and an edge that appears at full weight makes the motion jump.  The published method
+    takes each frame alone (`smoothing_s` 0).
     """
     points = points_of(source.positions_m)
     is_bone = np.zeros((source.num_points, source.num_points), dtype=bool)

@@ -1,4 +1,4 @@
-"""What `terms` builds: the quadratic problem of a take, and the targets of a batch of its variants."""
+"""Data that `terms` builds: the quadratic problem of a take, and the targets of a batch of its variants."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def girdle_pairs(num_people: int) -> Integers:
 
 @dataclass(frozen=True)
 class MeshProblem:
-    """What all variants of a take share: the source and the quadratic form of its energy.
+    """Data shared by all variants of a take: the source and the quadratic form of its energy.
 
     Args:
         source: The template, T frames.
@@ -95,7 +95,7 @@ class MeshProblem:
 
 @dataclass(frozen=True)
 class Targets:
-    """What belongs to a batch of variants: their reference motion and the targets of their terms.
+    """Data of a batch of variants: their reference motion and the targets of their terms.
 
     Args:
         bone_scale: Scales (variant, P, 22).

@@ -1,4 +1,4 @@
-"""How good a variant is, as a whole and frame by frame: every figure is against the source, and verdicts judge them."""
+"""Quality of a variant, as a whole and frame by frame: figures against the source, and verdicts."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
 
 @dataclass(frozen=True)
 class Quality:
-    """Figures of one variant, columns of `variant_quality`; one that fails is nothing to train on.
+    """Figures of one variant, columns of `variant_quality`; a variant that fails is not trained on.
 
-    Contact drifts are means of the change of distance of the surfaces over contacts of the source.  Warnings begin at
-    what converged variants of well captured takes keep to; failures where an eye sees that something is wrong: a hand
-    in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
+    Contact drifts are means of the change of distance of the surfaces over contacts of the source.  Warnings begin
+    above the values of converged variants of well captured takes; failures where an error is visible: a hand in the air
+    or in the flesh by half of its thickness, bodies apart by a jacket, a sliding foot.
     """
 
     num_contact_pairs: int = figure("Number of contact points in the source, summed over frames")
@@ -84,7 +84,7 @@ class Quality:
     def judge(self, limits: Limits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict with its reasons, and contact drift compared with plain forward kinematics.
 
-        Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
+        Without a contact in the source, nothing shows that contacts are kept: at best a warning, except for one person.
         """
         complained = [(level, words) for _, level, words in complaints(self, FIGURES, limits)]
         if not self.num_contact_pairs and not is_alone:
@@ -141,7 +141,7 @@ FRAME_LIMITS = limits_of(FRAME_FIGURES)
 
 
 class QualityMeter:
-    """Measures variants of one take; what belongs to the source is measured once."""
+    """Measures variants of one take; the source is measured once."""
 
     def __init__(self, source: Source, user_contacts: Sequence[UserContact] = ()) -> None:
         points = points_of(source.positions_m)
@@ -227,11 +227,11 @@ class QualityMeter:
         return quality, frames
 
     def worst_contact(self, points: Array) -> tuple[float, tuple[int, int]] | None:
-        """Return how far the contact of two bones drifts that drifts most, and these bones; None without a contact.
+        """Return the largest drift of the contact of two bones, and these bones; None without a contact.
 
-        How far is the 95th percentile of the change of distance of the surfaces, metres, over the frames in which the
+        The drift is the 95th percentile of the change of distance of the surfaces, metres, over the frames in which the
         two are in contact; bones are numbered through all people, by the joint that each ends in.  So a contact that is
-        lost for a while does not vanish among others that are kept.
+        lost for a while is not averaged out by others.
         """
         if not len(self._frames):
             return None
@@ -245,11 +245,11 @@ class QualityMeter:
         return points.reshape(-1, *self._source.positions_m.shape[1:])
 
     def _excursions(self, points: Array, rescaled: Array) -> tuple[Array, list[float]]:
-        """Return how far joints that stand are from their median place in that stance: by frame, by stance.
+        """Return the distance of standing joints from their median place in the stance: by frame, by stance.
 
         Movement of the source while it stands is not counted, nor that times what bones of the person gain or lose: a
         foot that turns is judged where it turns about, for its other joints go round on a smaller or larger circle.
-        Everything counts of somebody whose bones keep their lengths, and where the source does not move.
+        All of it counts for a person whose bones keep their lengths, and where the source does not move.
 
         Args:
             points: Positions (T, n, 3), metres.
@@ -286,7 +286,7 @@ def _jerk(points: Array) -> tuple[float, Array]:
 
 
 def _stances(stands: Flags) -> list[tuple[int, slice]]:
-    """Return joint and frames of every stance, of which joints stand when (T, n)."""
+    """Return joint and frames of every stance from flags of standing joints (T, n)."""
     edges = np.diff(np.pad(stands, ((1, 1), (0, 0))).astype(np.int8), axis=0)
     stances = []
     for joint in np.flatnonzero(stands.any(axis=0)):

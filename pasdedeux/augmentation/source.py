@@ -40,7 +40,7 @@ class Source:
         rate_hz: Frames per second.
         name: Name of the take, used in messages.
         ground_m: Height of standing toe joints, metres, where it is known; otherwise it is found from everybody.
-        objects: What people handle; it moves as captured, whatever the body sizes.
+        objects: Objects that people handle; they move as captured, whatever the body sizes.
         skeleton: Skeleton of everybody.
 
     Raises:
@@ -119,7 +119,7 @@ class Source:
 
     @cached_property
     def rest_heights_m(self) -> Array:
-        """Height of each joint above `floor_m` if its part of the body rests on the floor (P, 22), metres.
+        """Height of each joint above `floor_m` when its part of the body rests on the floor (P, 22), metres.
 
         An ankle's is that on a flat foot: the 10th percentile of the ankles' heights over their toes.  Other joints lie
         a radius over the floor, which the soles touch.
@@ -152,7 +152,7 @@ class Source:
         )
 
     def window(self, frames: slice, stated: Sequence[UserContact]) -> tuple[Source, list[UserContact]]:
-        """Return some frames, and the stated contacts in them; the take itself where that is all of it."""
+        """Return some frames, and the stated contacts in them; the take itself for all frames."""
         within = (contact.within(frames.start, frames.stop) for contact in stated)
         contacts = [contact for contact in within if contact is not None]
         return (self if frames == slice(0, self.num_frames) else self.take_frames(frames)), contacts
@@ -161,7 +161,7 @@ class Source:
         """Return some frames with the bones, floor and feet of the whole take; thinned out, they have another rate."""
         objects = self.objects and self.objects.at(frames)
         part = replace(self, positions_m=self.positions_m[frames], objects=objects, rate_hz=rate_hz or self.rate_hz)
-        # What is measured over the whole take takes the place of the part's own cached properties.
+        # Measures of the whole take replace the part's own cached properties.
         whole = {name: getattr(self, name) for name in ("lengths_m", "floor_m", "rest_heights_m")}
         part.__dict__.update(whole)
         return part
@@ -169,7 +169,7 @@ class Source:
 
 @cache
 def _own_touch() -> Integers:
-    """Return the pairs of bones of one person that may touch: forearms, and what is far enough along the body."""
+    """Return the pairs of bones of one person that may touch: forearms, with bones far enough along the body."""
     return np.array([pair for pair in capsule_model(BODY22).within if set(pair) & set(_WRISTS)])
 
 
@@ -190,9 +190,9 @@ def complete_scales(source: Source, bone_scale: Array) -> Array:
 def reference_motion(source: Source, bone_scale: Array) -> Array:
     """Return r, the source's bone directions with the new lengths, root height scaled by the leg ratio.
 
-    This is plain forward kinematics: retargeting that ignores the partner, the baseline of the
-    quality columns and the motion that the smoothness term follows.  The height is scaled above the level of the
-    standing toe joints, so that they stay where they are: bones scale, the sole under the toe joint does not.
+    This is plain forward kinematics: retargeting that ignores the partner, the baseline of the quality columns and the
+    motion that the smoothness term follows.  The height is scaled above the level of the standing toe joints, so that
+    these stay in place: bones scale, the sole under the toe joint does not.
 
     Args:
         source: The template, T frames.

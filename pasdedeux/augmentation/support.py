@@ -1,4 +1,4 @@
-"""What the floor carries: who stands or lies on it, by feet, hands, knees or back; weights fade, nothing switches.
+"""Support by the floor: standing or lying on feet, hands, knees or back; weights fade, nothing switches.
 
 There is one floor a take.  A joint far above it in the source has no weight, so a person who is held up is carried by
 contacts alone.
@@ -39,7 +39,7 @@ def stance_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
 def lasting_s(stands: Array, rate_hz: float) -> Array:
     """Return the duration of the stance around each frame, seconds, from weights (T, n).
 
-    A frame of a weight below 1 ends part of it, one of weight 0 all.
+    A frame with a weight below 1 ends it in part, one with weight 0 entirely.
     """
     lasting = -stands
     for frames in (range(len(stands)), reversed(range(len(stands)))):

@@ -43,7 +43,7 @@ _MESH_SMOOTHING_S = 0.25
 _WEIGHTS_RATE_HZ = 30.0
 
 _STANCE_S = (1.0, 5.0)
-"""Stances are stiffer the longer they last, from the first on and up to the second."""
+"""Stances are stiffer the longer they last, between these two durations."""
 
 _SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 _SHORTEST_SPINE_BONE_M = 0.03
@@ -174,7 +174,7 @@ def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array
 
 
 def bending_rows(source: Source) -> Array:
-    """Return for each pair of neighbouring spine bones difference of their vectors over lengths, as rows (m, n)."""
+    """Return the difference of vectors over lengths of neighbouring spine bones, as rows (m, n)."""
     rows = []
     for person in range(source.num_people):
         for first, second in pairwise(BODY22.indices(_SPINE)):

@@ -1,4 +1,4 @@
-"""Variations of body proportions: which bones of whom are scaled by how much."""
+"""Variations of body proportions: scales of some bones of some people."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
 
 
 def variant_in_words(variant_id: str) -> str:
-    """Say which bones of whom a variant scales, and by how much; of a name of another form, that name.
+    """Describe the bones, people and scale of a variant; a name of another form stays as it is.
 
     >>> variant_in_words("A-uniform-0.75"), variant_in_words("AB-upper_arm-1.25"), variant_in_words("mine")
     ('all bones of A times 0.75', 'upper arm of A and B times 1.25', 'mine')
@@ -188,9 +188,9 @@ def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",), nu
 
 
 def scale_axes(bone_scale: Array) -> dict[str, Array]:
-    """Return what varies by itself in scales (variant, person, 22): a person, a group of limbs, a bone and its mirror.
+    """Return independent variations in scales (variant, person, 22): a person, a group of limbs, a bone and its mirror.
 
-    By its name the scales of the variants (variant,); what all have in common is left out.
+    The result has, by name, the scales of the variants (variant,), without what all have in common.
 
     >>> scale_axes(np.stack([one.bone_scale for one in group_variations([0.8, 1.2], ["B"], ["arms"])]))
     {'B arms': array([0.8, 1.2])}

@@ -1,6 +1,6 @@
 """Weights of the energy's terms, one set for every take, per square metre unless stated otherwise; see `terms`.
 
-They were chosen by the figures of the variants of captured and made-up takes; `docs/findings.md` has what was tried.
+They were chosen by the figures of variants of captured and synthetic takes; `docs/decisions/` lists the trials.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ LAPLACIAN = 1.0
 SMOOTHNESS = 40.0
 """Second difference of the change against plain forward kinematics at 30 Hz, w_S."""
 REFERENCE = 0.03
-"""Pull towards plain forward kinematics, w_R; decides what no other term does, alike at every scale."""
+"""Pull towards plain forward kinematics, w_R; determines what no other term does, equally at every scale."""
 CONTACT_HAND = 60.0
 """Contacts of a hand or foot, w_C."""
 CONTACT_BODY = 30.0
@@ -23,7 +23,7 @@ CONTACT_BODY = 30.0
 CONTACT_DIRECTION = 0.02
 """Share k of a contact's weight that keeps its direction, not only its distance."""
 STANCE = 4000.0
-"""Horizontal velocity of what stands at 30 Hz, w_F; so stiff that a foot stays where it is put down."""
+"""Horizontal velocity of standing joints at 30 Hz, w_F; so stiff that a foot stays where it is put down."""
 FLOOR = 100.0
 """Height of joints near the floor, w_H."""
 BENDING = 0.05

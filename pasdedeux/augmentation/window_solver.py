@@ -22,7 +22,7 @@ SOLVERS = ("bulk", "polished", "plain_fk")
 """Solvers of a variant; of several windows the last of these is stated."""
 
 _ROUNDING = 1e-6
-"""Energy per frame that single precision leaves of nothing: a micrometre in all terms."""
+"""Energy per frame caused by single precision: a micrometre in all terms."""
 POLISH = FitSettings(max_iterations=40, tolerance=1e-4)
 """Descent after bulk."""
 
@@ -51,7 +51,7 @@ class SolvedWindow:
 
 
 class WindowSolver:
-    """A window that is ready for any number of variants."""
+    """A window prepared for any number of variants."""
 
     def __init__(self, source: Source, settings: AugmentationSettings, user_contacts: Sequence[UserContact]) -> None:
         self.settings = settings
@@ -59,10 +59,10 @@ class WindowSolver:
         self._bulk = BulkSolver(self.problem)
 
     def solve(self, bone_scale: Array) -> SolvedWindow:
-        """Solve variants (variant, P, 22); what one gets does not depend on the others, to the last bit.
+        """Solve variants (variant, P, 22); the result of each does not depend on the others, to the last bit.
 
-        Plain forward kinematics stays where it is as good (everybody has the source's size) and where bulk fails: gives
-        nothing finite, or something worse.
+        Plain forward kinematics is kept if it is as good (everybody has the source's size) or if bulk fails: its result
+        is not finite, or worse.
         """
         problem = self.problem
         targets = build_targets(problem, bone_scale)
@@ -95,7 +95,7 @@ class WindowSolver:
         )
 
     def _measure(self, terms: list[list[Term]], targets: Targets, positions: Array) -> tuple[Array, Array]:
-        """Return energies (variant,) and squared residuals (variant, T), one by one so that sums round alike."""
+        """Return energies (variant,) and squared residuals (variant, T), one by one so that sums round equally."""
         energies, residuals = [], []
         for variant, points in enumerate(positions):
             single = targets.select([variant])

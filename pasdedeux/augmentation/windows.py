@@ -13,8 +13,8 @@ LONGEST_S = 30.0
 OVERLAP_S = 3.0
 """Overlap of neighbouring windows, seconds.
 
-Its first and last third are thrown away, as every window feels its own ends there (fading weights look 0.9 s around,
-what a stance foot does is felt for about a second); over the middle third one window is blended into the next.
+Its first and last third are discarded, because the ends of a window have an effect there (fading weights reach 0.9 s, a
+stance foot about a second); over the middle third one window is blended into the next.
 """
 
 

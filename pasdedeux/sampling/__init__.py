@@ -1,1 +1,1 @@
-"""Lifting by sampling: the density of 3D pairs given 2D annotations, chains that sample it, and how well they cover."""
+"""Lifting by sampling: the density of 3D pairs given 2D annotations, and the chains that sample it."""

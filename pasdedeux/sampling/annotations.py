@@ -1,4 +1,4 @@
-"""Annotated pairs in metres, from pixels and estimated views, and the bank of views they are compared under."""
+"""Annotated pairs in metres, from pixels and estimated views, and the bank of views for comparisons."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pasdedeux.sampling.bandwidth import SAME_MOMENT, LeaveOneOut, leave_one_out
 from pasdedeux.skeletons import COUNTED17
 
 MIN_CANDIDATES = 20
-"""Annotations a view is compared with even when none is within the view bandwidth."""
+"""Number of annotations compared with a view even if none is within the view bandwidth."""
 
 
 MIN_SEEN_SHARE = 0.5
@@ -28,7 +28,7 @@ MIN_SEEN_SHARE = 0.5
 
 
 def shows_enough(points: Array) -> npt.NDArray[np.bool_]:
-    """Return which annotations (*batch, person=2, joint=17, 2) show enough; NaN where a joint is not seen.
+    """Return which annotations (*batch, person=2, joint=17, 2) show enough joints; NaN where a joint is not seen.
 
     Half of the joints that count (`COUNTED17`), and of each person the four of the torso that a view needs.
     """
@@ -40,7 +40,7 @@ def shows_enough(points: Array) -> npt.NDArray[np.bool_]:
 def is_left_out(
     sequence_id: Sequence[str], frame: npt.NDArray[np.integer], every: int, stills: Collection[str] = ()
 ) -> npt.NDArray[np.bool_]:
-    """Return which annotations (row,) take no part in making draws: every n-th moment.
+    """Return which annotations (row,) draws are not made from: every n-th moment.
 
     A moment is `SAME_MOMENT` frames of a video, which show nearly the same pose, or one frame of `stills`; the first
     one left out is in the middle of the first `every`.  None where `every` is 0, or moments are too few.
@@ -103,7 +103,7 @@ class GatheredPairs:
     Args:
         pairs: Annotated pairs, an entry per annotation and view hypothesis.
         weights: Weight of each entry's view in the view density, (entry,).
-        num_skipped: Annotations skipped: they show too little, or have no scale or view.
+        num_skipped: Number of skipped annotations, which show too little, or have no scale or view.
         metres_per_pixel: Scale of each person in each entry, (entry, person=2).
         moment: When each annotation was, as `leave_one_out` takes it, (annotation,); all far apart where not given.
     """
@@ -116,14 +116,14 @@ class GatheredPairs:
 
     @cached_property
     def leave_one_out(self) -> LeaveOneOut:
-        """Each annotation against the others, under its first view: what the bandwidth follows from."""
+        """Comparison of each annotation with the others, under its first view, from which the bandwidth follows."""
         annotation, first = np.unique(self.pairs.annotation_index, return_index=True)
         moment = self.moment[annotation] if len(self.moment) else SAME_MOMENT * annotation
         return leave_one_out(self.pairs.points_m[first], self.pairs.directions[first], moment)
 
     @cached_property
     def view_spread_rad(self) -> float:
-        """How far nine of ten likeliest views are from their mean at most, radians."""
+        """Largest angle from their mean of nine in ten likeliest views, radians."""
         annotation, which = np.unique(self.pairs.annotation_index, return_inverse=True)
         order = np.lexsort((-self.weights, which))
         first = order[np.searchsorted(which[order], np.arange(len(annotation)))]

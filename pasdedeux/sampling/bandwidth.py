@@ -23,13 +23,13 @@ from pasdedeux.spread import evenly_spread
 PUBLISHED_SIGMA_L = 0.01
 """Bandwidth of Yin et al. 2018, eq. 9, read in metres: 2 sigma_l^2 is 0.2 mm of d_I."""
 SAME_MOMENT = 30
-"""Frames of a video nearer to each other than this show nearly the same pose: none is compared with another."""
+"""Frames of a video nearer to each other than this show nearly the same pose and are not compared."""
 
 _NUM_JUDGED = 100
 _NUM_COMPARED = 10
-"""Others with the least rigid residual that d_I is computed for: its nearest is among the first few."""
+"""Number of others with the least rigid residual for which d_I is computed: the nearest is among the first few."""
 _SAME_M = 1e-6
-"""d_I, for each number in which they may differ, below which images are taken for copies, metres."""
+"""d_I per degree of freedom below which images count as copies, metres."""
 _MIN_SHARED = 10
 """Joints that two annotations must both show to be compared."""
 
@@ -40,7 +40,7 @@ class LeaveOneOut:
 
     Args:
         nearest_m: d_I to the nearest other annotation with a similar view, (annotation,), metres.
-        freedom: Numbers in which the image of each may differ from that one, (annotation,).
+        freedom: Degrees of freedom between the image of each and that one, (annotation,).
     """
 
     nearest_m: Array
@@ -48,7 +48,7 @@ class LeaveOneOut:
 
     @property
     def sigma_l(self) -> float:
-        """The likeliest bandwidth; the published one where nothing can be compared, or all are the same image."""
+        """The likeliest bandwidth; the published one if nothing can be compared, or all images are the same."""
         total, freedom = float(self.nearest_m.sum()), float(self.freedom.sum())
         return math.sqrt(0.5 * total / freedom) if total > _SAME_M * freedom else PUBLISHED_SIGMA_L
 

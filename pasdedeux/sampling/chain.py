@@ -14,19 +14,19 @@ from pasdedeux.sampling.densities.density import Evaluation
 from pasdedeux.sampling.parameters import NUM_BLOCKS
 
 Context = npt.NDArray[np.int64]
-"""What a proposal must know of a point before it can leave it: the annotations that are nearest to it, (view,)."""
+"""Data that a proposal needs at a point before a step: the annotations nearest to it, (view,)."""
 Blocks = npt.NDArray[np.int64]
 """Blocks that a step moved (see `NUM_BLOCKS`)."""
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """What the next step needs.
+    """State of a chain between steps.
 
     Args:
         parameters: Where the chain is.
         evaluation: Target at `parameters`; its density must be positive.
-        context: Data that the proposal keeps for this point; None if it needs none.
+        context: Data of the proposal for this point; None if it needs none.
         log_scales: Logarithms of the factors on the proposal's deviations of each block, (34,), learned in warm-up.
     """
 
@@ -42,7 +42,7 @@ class Correction:
 
     Args:
         log_ratio: log Q(here | there) - log Q(there | here): what eq. 10 adds.
-        context: Data that the proposal keeps for the proposed point.
+        context: Data of the proposal for the proposed point.
     """
 
     log_ratio: float
@@ -68,7 +68,7 @@ class Proposed:
 
 
 LogDensity = Callable[[Array, float], Evaluation]
-"""The target at a point; below the level given with it, its value does not matter."""
+"""The target at a point; its value is not needed below the given level."""
 Propose = Callable[[np.random.Generator, ChainState], Proposed]
 Gauge = Callable[[Array], Array]
 
@@ -150,7 +150,7 @@ def run_segment(
         propose: Proposal.
         num_draws: Draws kept.
         thin: Steps per kept draw.
-        gauge: Moves a kept draw rigidly to where it is stored; target and proposal do not depend on that.
+        gauge: Moves a kept draw rigidly to its stored place; target and proposal do not depend on that.
     """
     draws: list[ChainState] = []
     num_accepted = np.zeros(num_draws, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""How chains went: R-hat and effective sample size on invariants, acceptance, and a verdict in words."""
+"""Diagnostics of chains: R-hat and effective sample size of invariants, acceptance, and a verdict in words."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ _JOINT_PAIRS = (
 )
 
 _MIN_DRAWS = 4
-"""Fewer have no correlations over time."""
+"""Fewest draws for correlations over time."""
 MIN_ACCEPTANCE = 0.005
 """Accepted share of proposals below which a chain counts as stuck."""
 MAX_RHAT = 1.1
 """R-hat above which chains do not mix (Gelman et al. 2013, section 11.5)."""
 MIN_ESS = 100.0
-"""Effective sample size of a chain below which it does not mix (Vehtari et al. 2021); of few draws half will do."""
+"""Effective sample size of a chain below which it does not mix (Vehtari et al. 2021); half is enough of few draws."""
 MAX_AT_CEILING = 0.1
 """Share of draws in the flat top of the truncated density above which a chain counts as having left its range."""
 MIN_TRAVELLED_M = 0.01
-"""Distance between the first and the last draw below which a chain stays where it starts, metres."""
+"""Distance between the first and the last draw below which a chain counts as staying at its start, metres."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def rhat(values: Array) -> Array:
 
 
 def _of_each(statistic: Callable[..., Array], values: Array) -> Array:
-    """Return a statistic (quantity,) of what moved at all among values (chain, draw, quantity), else NaN."""
+    """Return a statistic (quantity,) of values (chain, draw, quantity); NaN for quantities that never move."""
     values_of_each, has_moved = np.full(values.shape[-1], np.nan), np.ptp(values, axis=(0, 1)) > 0.0
     if values.shape[1] >= _MIN_DRAWS and has_moved.any():
         with np.errstate(divide="ignore", invalid="ignore"):  # chains that stand still give NaN, as they should

@@ -1,12 +1,12 @@
-"""Pairs lifted from 2D alone: seeds for sampling where nothing in 3D is known of the takes.
+"""Pairs lifted from 2D alone: seeds for sampling without any 3D data of the takes.
 
-Bone lengths are read off the annotations: over many views each bone shows itself nearly unforeshortened in some; one
-that none shows has its usual proportion.  The torso is lifted with the torso basis; what remains is discrete: either
-twin of each torso, towards or away from the camera for each limb bone, and the relative depth of the people.  Joint
-limits choose among the 256 poses of a person's limbs, the estimated view and penetration among twins and depths.
-Joints that are not seen are guessed in the image first: those of the torso where the lifted one has them, those of
-limbs by what is seen of the limb.  A lifted pair is
-right to 8-11 cm on captured dancers; growth (`growth.grow`) then finds what the others have in common.
+Bone lengths come from the annotations: over many views each bone appears nearly unforeshortened in some; a bone that
+none shows has its usual proportion.  The torso is lifted with the torso basis; what remains is discrete: either twin of
+each torso, towards or away from the camera for each limb bone, and the relative depth of the people.  Joint limits
+choose among the 256 poses of a person's limbs, the estimated view and penetration among twins and depths. Joints that
+are not seen are guessed in the image first: those of the torso where the lifted one has them, those of limbs by what is
+seen of the limb.  A lifted pair has an error of 8-11 cm on captured dancers; growth (`growth.grow`) then reduces it by
+comparing pairs.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ errors of scale too long; on captured dancers it is right to 5 % with 1 cm of no
 VIEW_DEVIATION_RAD = 0.15
 """Error of an estimated view, radians."""
 FORWARD_PER_M = 3.0
-"""What a hand or foot that ends in front of its shoulder or hip is preferred by, per metre, in log probability."""
+"""Preference for hands or feet in front of their shoulder or hip, log probability per metre."""
 PENETRATION_SHARE = 0.05
-"""Share of eq. 2's penetration that counts between depths: in full it would outvote the view in every embrace."""
+"""Share of eq. 2's penetration used to choose depths: in full it would outweigh the view in every embrace."""
 TIGHTNESS = 0.16
 """Weight of a squared error in depth against one in the image when bones are placed."""
 
@@ -61,7 +61,7 @@ def _usual_lengths() -> Array:
 _MAX_ROUNDS = 30
 _DEPTHS_M = np.linspace(-0.9, 0.9, 19)
 _NUM_GROUPED = 500
-"""Annotations that are grouped to choose those to lift; d_I between all of them grows with the square."""
+"""Number of annotations that are grouped to choose those to lift; the cost grows with its square."""
 _NUM_WEIGHED = 12
 _NUM_TRIES = 8
 _ORDER, _PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
@@ -172,7 +172,7 @@ def lift_seeds(
         limits: Joint limits.
         basis: Torso basis, of other takes.
         num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.  There
-            are fewer where no such pair is possible, or where there are not so many annotations.
+            are fewer if no such pair is possible, or if there are fewer annotations.
         prior: Weights of eq. 2; the defaults when not given.
 
     Raises:
@@ -200,10 +200,10 @@ def lift_seeds(
 
 
 def _distances(images_m: Array) -> Array:
-    """Return d_I between all images, (n, n), metres; those that share too little are as far apart as any two are."""
+    """Return d_I between all images, (n, n), metres; images that share too little get the largest distance."""
     matrix = image_distances(images_m, images_m)
     matrix = np.where(np.isfinite(matrix), matrix, np.nanmax(matrix))
-    # Symmetric to the bit: of a group of two the first stands for both.
+    # Symmetric to the bit, so that the first of a group of two represents both.
     return np.minimum(matrix, matrix.T)
 
 
@@ -241,7 +241,7 @@ def _completed(image_m: Array, torso_m: Array, lengths_m: Array) -> Array:
         torso_m: Image of the lifted torso, (6, 2), metres.
         lengths_m: Bone lengths, (17,), metres.
 
-    A head goes on along the backbone, an elbow or knee is half way, a hand or foot goes straight on, and a limb of
+    A head extends the backbone, an elbow or knee is half-way, a hand or foot extends its limb straight, and a limb of
     which nothing is seen hangs down along the body.
     """
     image = image_m.copy()

@@ -1,14 +1,14 @@
-"""Frontier growth: lifting annotation after annotation from what is lifted already, beginning with a few seeds.
+"""Frontier growth: lift annotation after annotation from pairs that are already lifted, starting with a few seeds.
 
-A chain hardly leaves its seed.  What reaches far is this: of all annotations not lifted yet, take the one whose image
+A chain hardly leaves its seed. Growth reaches far: of all annotations not lifted yet, take the one whose image
 is closest to some lifted pair seen from the annotation's own view; move that pair to match it (the image plane from the
 annotation, depth and bone lengths from the pair); if the physical prior finds it possible, it may lift others.
 
 Depth comes from several lifted pairs that look alike, not from one, and once everything is lifted the neighbours agree:
-the depth of each grown pair becomes that of the pairs that look like it under its view.  Their image planes are others,
-so what one annotation does not see another one does.  A joint that an annotation does not show counts in no distance,
-and is placed in the image as well as in depth by those pairs.  Grown pairs are no draws: they are starts for chains,
-and a set that covers.  Our own; Yin et al. (2018) start from one seed.
+the depth of each grown pair becomes that of the pairs that look like it under its view.  Their image planes differ, so
+annotations complement each other.  A joint that an annotation does not show counts in no distance, and is placed in the
+image as well as in depth by those pairs.  Grown pairs are not draws: they are starts for chains, and a set that covers
+the motion. Our own; Yin et al. (2018) start from one seed.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ _DEPTH_DEVIATION_M = 0.05
 _TIGHTNESS = (_IMAGE_DEVIATION_M / _DEPTH_DEVIATION_M) ** 2
 """Weight of a squared depth error against a squared image error."""
 FARTHEST_M = 0.25
-"""Annotations farther than this from everything lifted are left."""
+"""Annotations farther than this from all lifted pairs are not lifted."""
 _NUM_NEIGHBOURS = 8
-"""Lifted pairs that a depth is averaged over, at most."""
+"""Most lifted pairs over which a depth is averaged."""
 _NEIGHBOUR_DEVIATION_M = 0.03
-"""Width of their weights, by how much farther they are than the nearest."""
+"""Width of their weights, as a function of their distance beyond the nearest."""
 _NUM_SWEEPS = 3
-"""How often grown neighbours agree on their depths."""
+"""Number of rounds in which grown neighbours agree on their depths."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Growth:
         log_prior: Log of eq. 2 (Yin et al. 2018) with the pair's own bone lengths, (n,).
         is_possible: Whether the joint limits are kept, (n,): agreeing on depths may have changed it.
         num_refused: Annotations whose lifted pair was refused.
-        num_left: Annotations asked for that nothing lifted came near.
+        num_left: Requested annotations that no lifted pair came near.
     """
 
     pairs_m: Array
@@ -98,8 +98,8 @@ def grow(
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
-    Of more annotations so many are taken, evenly spread in their order: those nearest to the seeds alone would leave
-    out all other motion (salsa, 1,000 of 6,000: held-out frames are 9.0 cm from the nearest pair, and 16.0 so).
+    If there are more annotations, they are chosen evenly in their order: the nearest to the seeds alone would leave out
+    all other motion (salsa, 1,000 of 6,000: held-out frames are 9.0 cm from the nearest pair, and 16.0 so).
 
     Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
     the pair lifted from.  No randomness; ties go to the entry that comes first.  `prior` refuses and scores pairs.
@@ -133,7 +133,7 @@ def grow(
 
 
 def _spread(annotation_index: Indices, count: int) -> Indices:
-    """Return so many annotations, or all, evenly spread."""
+    """Return this many annotations, or all, evenly spread."""
     there = np.unique(annotation_index)
     return np.asarray(there[evenly_spread(len(there), count)])
 
@@ -163,7 +163,7 @@ class ViewedImages:
         self._missing = np.argsort(is_seen, axis=1, kind="stable")[:, : self._num_missing.max(initial=0)]
 
     def residuals(self, pair_m: Array) -> Array:
-        """Return how far a pair (2, 17, 3), metres, under the views is from the images, (entry,), metres.
+        """Return the distance of a pair (2, 17, 3), metres, under the views from the images, (entry,), metres.
 
         Root mean square over the joints that are seen, after the best turn in the plane.
         """
@@ -178,7 +178,7 @@ class ViewedImages:
 
 @dataclass(frozen=True)
 class _Lifted:
-    """A pair (2, 17, 3) with its bone lengths (2, 17), and how it was lifted; a seed was not."""
+    """A pair (2, 17, 3) with its bone lengths (2, 17), and how it was lifted (unless it is a seed)."""
 
     pair_m: Array
     lengths: Array
@@ -189,7 +189,7 @@ class _Lifted:
 
 
 class _Frontier:
-    """Everything lifted so far, and for each entry the lifted pairs that look most like it."""
+    """All lifted pairs so far, and for each entry the most similar ones."""
 
     def __init__(self, annotated: AnnotatedPairs) -> None:
         points = annotated.centred_m
@@ -241,7 +241,7 @@ class _Frontier:
             shown = np.where(is_seen[:, None], image, np.nan)
             seen = project_pair(pairs, self.directions[entry]).reshape(len(pairs), _NUM_POINTS, 2)
             image = _completed(shown, np.einsum("k,knx->nx", weight, align_plane(seen, shown)))
-        # Where nothing is seen the image knows no more than the depth.
+        # Unseen joints are as uncertain in the image as in depth.
         tightness = np.where(is_seen, _TIGHTNESS, 1.0).reshape(2, -1)
         image = image.reshape(2, PAIR17.num_joints, 2)
         place_bones(image, depth.reshape(2, -1), lengths, _ORDER, _PARENTS, tightness, placed)
@@ -288,7 +288,7 @@ class _Frontier:
 def _completed(shown: Array, alike: Array) -> Array:
     """Return an image (n, 2), NaN where a joint is not seen, completed by one of a pair that looks like it (n, 2).
 
-    An unseen joint is displaced from where the other pair has it by the mean of its neighbours in the skeleton.
+    An unseen joint is placed as in the other pair, displaced by the mean of its neighbours in the skeleton.
     """
     displacement = (shown - alike).reshape(2, PAIR17.num_joints, 2)
     for own in displacement:

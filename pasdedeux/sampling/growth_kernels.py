@@ -11,11 +11,11 @@ from pasdedeux.arrays import Array
 from pasdedeux.compiled import compiled, inner_kernel
 
 LANES = 64
-"""Entries that lie side by side in memory; arithmetic runs over them, so that no sum is ever put in another order."""
+"""Entries side by side in memory; arithmetic is vectorised over them, so that sums keep their order."""
 Indices = npt.NDArray[np.int64]
 
 _MIN_DEPTH_M = 1e-4
-"""Depth that a bone without any keeps: its side of the image plane, metres."""
+"""Depth of a bone without any, which keeps its side of the image plane, metres."""
 
 
 @compiled()
@@ -82,7 +82,7 @@ def fill_residuals(
     num_missing: Indices,
     residual: Array,
 ) -> None:
-    """Write how far a pair under many views is from their images (`growth.ViewedImages`), over the joints they show.
+    """Write the distance of a pair under many views from their images (`growth.ViewedImages`), over the joints shown.
 
     Args:
         points: Centred joints of both people, coordinate before joint, (3, n), metres.
@@ -150,7 +150,7 @@ def keep_nearest(residual: Array, index: int, best: Array, which: Indices) -> No
         residual: Distance of pair `index` from every entry, (entry,).
         index: The pair.
         best: Smallest distances of each entry so far, rising, (entry, k); overwritten.
-        which: The pairs that have them, (entry, k); overwritten.
+        which: The pairs with these distances, (entry, k); overwritten.
     """
     last = best.shape[1] - 1
     for entry in range(residual.shape[0]):

@@ -24,17 +24,17 @@ from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import PairSelector
 
 NUM_PARENTS = 7
-"""Pairs that a filled one is a mean of: a grown pair and its six nearest ones."""
+"""Number of pairs in a mean: a grown pair and its six nearest ones."""
 MIN_FILLED_LOG_PRIOR = -100.0
-"""Log prior below which a filled pair is refused: half of what a selected pair may have."""
+"""Log prior below which a filled pair is refused: half of the limit for selected pairs."""
 _CONCENTRATION = 0.7
-"""Of the Dirichlet distribution of the weights: below 1 a few parents count more than the others."""
+"""Concentration of the Dirichlet distribution of the weights: below 1, a few parents dominate."""
 _NUM_ROWS = 500
-"""Pairs whose distances to all others are in memory together: 80 MB beside 10,000 others."""
+"""Number of pairs whose distances to all others are in memory together: 80 MB for 10,000 others."""
 _MAX_TRIES = 20
-"""Means that are drawn for each pair that is asked for, at most."""
+"""Most means drawn per requested pair."""
 _MIN_KEPT_SHARE = 0.05
-"""Filling ends after a round over all pairs that keeps a smaller share of its means: the gaps are full."""
+"""Filling ends after a round over all pairs that keeps a smaller share of its means: the gaps are filled."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def fill(
 
 
 def _with_nearest(pairs_m: Array) -> npt.NDArray[np.int64]:
-    """Return each pair, also where another one is just like it, and the six nearest others, (pair, 7)."""
+    """Return each pair, even if it has duplicates, and the six nearest others, (pair, 7)."""
     parents = []
     for first in range(0, len(pairs_m), _NUM_ROWS):
         nearest = np.argsort(cartesian_distances(pairs_m[first : first + _NUM_ROWS], pairs_m), axis=1, kind="stable")

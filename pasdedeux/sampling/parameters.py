@@ -2,7 +2,7 @@
 
 Per person 54 numbers: root rotation (rotation vector, 3), root position (3), then for each of the 16 other joints of
 pair17 two rotations of its bone about its parent joint and one relative change of the bone's length (Yin et al. 2018,
-sections 3 and 6).  A joint's rotation carries everything beyond it.
+sections 3 and 6).  A joint's rotation moves everything beyond it.
 """
 
 from __future__ import annotations
@@ -142,9 +142,9 @@ class PairChart:
     def log_measure(parameters: Array) -> float:
         """Return the log of the volume of directions per volume of parameters (108,); 0 at the seed.
 
-        A bone turned by r from the seed's direction takes sin r / r of the sphere for each unit of its two rotations:
-        a density over poses, flat in the directions of bones, is multiplied by it to be one over the parameters.  It is
-        -inf where a bone is turned by half a turn or more, beyond which directions would count twice.
+        A bone turned by r from the seed's direction takes sin r / r of the sphere for each unit of its two rotations: a
+        density over poses, flat in the directions of bones, is multiplied by it to be one over the parameters.  It is
+        -inf if a bone is turned by half a turn or more, because directions would then count twice.
         """
         return float(_log_measure(parameters, NUM_JOINTS))
 
@@ -165,8 +165,8 @@ def gauge_fix(pair_m: Array, reference_m: Array | None = None) -> Array:
     """Return the same pair (2, 17, 3), metres, moved rigidly into the gauge.
 
     The pair's centroid is at the origin and the line between the roots has yaw 0 (it points along +X as far as the
-    horizontal plane shows it; a vertical line is left as it is).  Tilt, which the density does not see either, is that
-    of the best rigid fit to `reference_m` where it is given, and kept otherwise.
+    horizontal plane shows it; a vertical line is left as it is).  Tilt, which does not affect the density either, is
+    that of the best rigid fit to `reference_m` if given, and otherwise unchanged.
     """
     rotmat, shift = _gauge(pair_m, reference_m)
     return np.asarray(pair_m @ rotmat.T + shift)

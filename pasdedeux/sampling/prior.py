@@ -3,7 +3,7 @@
 log prior = -(|theta - theta_valid|^2 + alpha eta^2) / (2 sigma_p^2), over joint positions in metres: the squared
 distance to the nearest poses within joint limits, and the squared sum of penetration depths.  It is -inf when more than
 8 joint angles of the pair are invalid.  Bone lengths stay within 5 % of the seed's and equal on both sides of a body,
-which the paper's terms do not bound.  Everything that scores pairs by eq. 2 takes it from here.
+which the paper's terms do not bound.  All scoring of pairs by eq. 2 uses this module.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TIE_TOLERANCE = 1e-9
 
 
 class PriorSettings(Settings):
-    """The weights and limits of eq. 2, the same for all that scores pairs by it: seeds, growth, chains, judges."""
+    """The weights and limits of eq. 2, shared by seeds, growth, chains and judgements."""
 
     alpha: float = Field(default=10.0, ge=0, description="Weight of the squared penetration in the prior (eq. 2)")
     sigma_p_m: float = Field(default=0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")

@@ -2,8 +2,8 @@
 
 A chain stays near its start, because modes of the density differ by about 100 nats.  A set that covers a motion
 therefore starts many chains and takes a hundred steps of each.  The likelihood and the prior are sharpened: otherwise
-the chains drift along the many directions in which the density is flat.  The last state of each chain is kept.  These
-states are no draws of one distribution.  Our own use of the chains of Yin et al. (2018).
+the chains drift along the many directions in which the density is flat.  The last state of each chain is kept. These
+states are not draws of one distribution.  Our own use of the chains of Yin et al. (2018).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NUM_TAUGHT, _STEPS_TAUGHT = 5, 200
 
 
 class RepairSettings(Settings):
-    """How pairs are repaired: short chains from every grown and filled pair."""
+    """Settings of repair: short chains from every grown and filled pair."""
 
     repair_steps: int = Field(default=100, ge=1, description="Steps from each pair where chains start from every one")
     repair_sigma_l: float = Field(default=0.25, gt=0, description="Factor on sigma_l in these steps")

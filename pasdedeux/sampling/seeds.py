@@ -1,4 +1,4 @@
-"""Seeds chosen among real frames: close interactions, plausible, and far from each other."""
+"""Choice of seeds among real frames: close interactions, plausible, and far from each other."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ CLOSE_SHARE = 0.25
 SOUND_SHARE = 0.5
 """Share of the close frames, those with the smallest violation of the prior, that may become seeds."""
 MIN_POOL = 16
-"""Frames of a take that stay in the choice however few are close and sound."""
+"""Least number of frames of a take among which seeds are chosen, however few are close and sound."""
 
 
 @dataclass(frozen=True)
 class SeedQuality:
-    """How fit pairs are to start chains from.
+    """Fitness of pairs as starts of chains.
 
     Args:
         num_invalid: Joint angles out of range, of both people, (pair,).
@@ -52,7 +52,7 @@ class SeedQuality:
 
 
 def seed_quality(pairs_m: Array, limits: JointLimits, prior: PriorSettings = DEFAULT_PRIOR) -> SeedQuality:
-    """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds, each with its own bone lengths."""
+    """Return the fitness of pairs (pair, person=2, joint=17, 3), metres, as seeds, each with its own bone lengths."""
     pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
     nearest = limits.nearest_valid(pairs)
     squared, depth_m = nearest.squared_distance_m2.sum(axis=-1), capsule_model(PAIR17).penetration(pairs).sum(axis=1)

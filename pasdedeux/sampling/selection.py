@@ -1,10 +1,10 @@
-"""Selection of pairs that stand for many: greedy medoids among any number of pairs, in bounded memory.
+"""Selection of representative pairs: greedy medoids among any number of pairs, in bounded memory.
 
-Pairs are compared by D_C, by which coverage is judged.  A pair that is nearer than a radius to one that is kept is
-dropped, and its weight goes there.  When more are kept than there is room for, the radius doubles (Charikar et al.
-2004), so that no pair is farther than two radii from all that are kept.  Of these, time and again that one is chosen
-which most reduces the mean distance of all pairs from the nearest chosen one (Nemhauser, Wolsey and Fisher 1978, by
-lazy evaluation as Minoux 1978 has it): asking for more keeps the first ones.
+Pairs are compared by D_C, by which coverage is judged.  A pair within a radius of a kept pair is dropped, and its
+weight is added there.  If more are kept than there is room for, the radius doubles (Charikar et al. 2004), so that no
+pair is farther than two radii from all that are kept.  Of these, time and again that one is chosen which most reduces
+the mean distance of all pairs from the nearest chosen one (Nemhauser, Wolsey and Fisher 1978, by lazy evaluation as
+Minoux 1978 has it): asking for more keeps the first ones.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ DUPLICATE_M = 0.02
 MIN_LOG_PRIOR = -200.0
 """Log prior below which a pair is not plausible: every joint 17 cm off, where sigma_p is 5 cm."""
 MIN_ROOM = 16384
-"""Pairs kept at least: the more, the less the radius has to grow, which would thin out what is frequent."""
+"""Least number of kept pairs: with more room the radius grows less, and frequent pairs are thinned out less."""
 _ROOM_FOR_EACH = 4
 _NUM_REPRESENTED = 1024
-"""Pairs whose mean distance from the chosen ones is reduced, at most, evenly spread over those kept."""
+"""Most pairs whose mean distance from the chosen ones is reduced, evenly spread over the kept ones."""
 _SLACK_M = 1e-9
 """Rounding error allowed for a bound."""
 
@@ -53,7 +53,7 @@ class Selection:
 
 
 class _Kept(NamedTuple):
-    """Centred pairs (pair, n, 3), metres, distances of their joints from the centre (pair, n), and what is known."""
+    """Centred pairs (pair, n, 3), metres, with the distances of their joints from the centre (pair, n)."""
 
     points: Array
     lengths: Array
@@ -65,7 +65,7 @@ class PairSelector:
     """Selection of pairs that arrive in batches; it depends on their order, not on how they are cut into batches.
 
     Args:
-        num_selected: How many are to be chosen, at most.
+        num_selected: Most pairs to choose.
         min_room: Room for pairs to choose from; there is more for very many.
 
     Raises:
@@ -82,11 +82,11 @@ class PairSelector:
         self._num_kept = self._num_added = 0
 
     def add(self, pairs_m: npt.NDArray[np.floating], weight: Array) -> npt.NDArray[np.bool_]:
-        """Take in pairs (pair, person=2, joint, 3), metres; return which are like none before, (pair,).
+        """Add pairs (pair, person=2, joint, 3), metres; return which differ from all before, (pair,).
 
         Args:
             pairs_m: Pairs, all with the same joints.
-            weight: What each counts, (pair,).
+            weight: Weight of each, (pair,).
 
         Raises:
             InputError: A coordinate is not finite.
@@ -155,7 +155,7 @@ def _representatives(kept: _Kept, count: int) -> npt.NDArray[np.int64]:
 
 @compiled()
 def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-untyped-def]
-    """Take in rows of `new` until one too many is kept; return the next row and the number kept.
+    """Add rows of `new` until one too many is kept; return the next row and the number kept.
 
     `new` may be `kept` itself, emptied: a row is read before anything is written there.
     """

@@ -3,8 +3,8 @@
 Every annotation has neighbours in its own sequence, seen by the same camera.  Their slope in time gives, per frame, how
 fast each bone turns in the image plane against the bone above it (the parameter is a rotation about the parent joint,
 in the parent's frame), how fast each person's backbone turns, and how fast each root is displaced against the centre of
-the pair (rigid motion of the pair is no parameter of the density).  Depth is not seen: the same variance goes to every
-axis of a rotation, and half the squared displacement, which has two axes, to each of a root's three.
+the pair (rigid motion of the pair is no parameter of the density).  Depth is not observed: every axis of a rotation
+gets the same variance, and each of a root's three axes half the squared displacement, which has two.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from pasdedeux.skeletons import PAIR17
 Indices = npt.NDArray[np.int64]
 
 NEIGHBOUR_FRAMES = 2
-"""Frames on each side of an annotation that its speed is taken from."""
+"""Frames on each side of an annotation from which its speed is estimated."""
 
 MIN_BONE_M = 0.05
-"""Length below which a foreshortened bone counts as so long: its direction in the image is uncertain, metres."""
+"""Least length of a foreshortened bone in computing its speed, because its direction in the image is uncertain,
+metres."""
 
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 _PARENTS = np.array([max(parent, 0) for parent in PAIR17.parents])
@@ -44,7 +45,7 @@ class Speeds:
     shift: Array
 
     def mean(self, entries: Indices) -> tuple[Array, Array]:
-        """Return the mean squared speeds, (34,) and (2,), over a set of entries; negative ones count for nothing.
+        """Return the mean squared speeds, (34,) and (2,), over a set of entries; negative entries are ignored.
 
         This is the second term of eq. 12: an annotation that is nearest under several views counts once.  Each speed is
         the mean over the entries that show it; 0 where none does.
@@ -63,8 +64,8 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
             annotation itself in the middle; NaN where a frame or a joint is missing.
 
     Returns:
-        Squared speeds by the least-squares slope over the frames there are; NaN where a joint of the two bones
-        concerned is not in the annotation, or is there in fewer than two frames.
+        Squared speeds by the least-squares slope over the frames there are; NaN if a joint of the two bones is missing
+        in the annotation, or present in fewer than two frames.
     """
     num_frames = tracks_m.shape[1]
     time = np.arange(num_frames) - (num_frames - 1) / 2
@@ -76,7 +77,7 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
     rate[:, :, _PELVIS] = backbone
     turn = rate - rate[:, :, _PARENTS]
     turn[:, :, _PELVIS] = backbone
-    # The centre of the pair moves as the joints do, in the mean over those of which there is a slope.
+    # The centre of the pair moves with the mean of the joints that have a slope.
     is_known = np.isfinite(drift)
     centre = np.where(is_known, drift, 0.0).sum(axis=(1, 2)) / np.maximum(is_known.sum(axis=(1, 2)), 1)
     shift = drift[:, :, _PELVIS] - centre[:, None]

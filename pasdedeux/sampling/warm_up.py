@@ -1,4 +1,4 @@
-"""Warm-up: the steps at the beginning of a chain that learn how far to step, and are then forgotten.
+"""Warm-up: the first steps of a chain, which learn step sizes and are then dropped.
 
 Scales are learned by stochastic approximation (Robbins and Monro 1951; Andrieu and Thoms 2008, section 4.2): after
 every step the logarithms concerned move by a falling gain times the difference of acceptance from its target.  Draws
@@ -17,7 +17,7 @@ from pasdedeux.sampling.densities.density import Evaluation, PairDensity
 from pasdedeux.sampling.proposals.proposal import Proposal
 
 TARGET_ACCEPTANCE = 0.234
-"""Accepted share that is aimed at: optimal for random walks in many dimensions (Roberts, Gelman and Gilks 1997)."""
+"""Target of the accepted share: optimal for random walks in many dimensions (Roberts, Gelman and Gilks 1997)."""
 GAIN_EXPONENT = 0.6
 """The n-th update of a scale has the gain n^-0.6: its sum diverges, that of its square does not."""
 MAX_LOG = float(np.log(20.0))
@@ -77,7 +77,7 @@ def disperse(
     """
 
     def wider(parameters: Array, at_least: float = -np.inf) -> Evaluation:
-        """Return the target with its logarithm divided by the temperature of dispersed starts; its bounds stay."""
+        """Return the target with its logarithm divided by the temperature of dispersed starts, and the same bounds."""
         log_measure = target.chart.log_measure(parameters)
         level = DISPERSING_TEMPERATURE * (at_least - log_measure) + log_measure if np.isfinite(log_measure) else np.inf
         log_density = target(parameters, level)

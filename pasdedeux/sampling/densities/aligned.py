@@ -60,9 +60,9 @@ class AlignedLikelihood(Likelihood):
 
     @abstractmethod
     def dissimilarity(self, image_m: Array, annotations_m: Array) -> Array:
-        """Return how unlike an image (n, 2) is to annotations (k, n, 2), metres, after the best turn, (k,).
+        """Return the dissimilarity of an image (n, 2) and annotations (k, n, 2), metres, after the best turn, (k,).
 
-        Slowly, by definition; inf for an annotation that is not compared.
+        Computed by definition, slowly; inf for an annotation that is not compared.
         """
 
     @abstractmethod
@@ -144,7 +144,7 @@ def align_lanes(x, y, lanes, count, cosine, sine):  # type: ignore[no-untyped-de
             cosine[c] += x[k] * px[c] + y[k] * py[c]
             sine[c] += x[k] * py[c] - y[k] * px[c]
     for c in range(count):
-        # Points that all coincide may turn as they like: the least number keeps 0 / 0 away.
+        # Coincident points have no best turn: the smallest number avoids 0 / 0.
         length = max(np.sqrt(cosine[c] * cosine[c] + sine[c] * sine[c]), 1e-300)
         cosine[c] /= length
         sine[c] /= length

@@ -1,4 +1,4 @@
-"""What densities of annotations share: views, bandwidth and pooling (Yin et al. 2018, eqs. 5, 6 and 9)."""
+"""Settings shared by densities of annotations: views, bandwidth and pooling (Yin et al. 2018, eqs. 5, 6 and 9)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Pooling(StrEnum):
 
 
 class AnnotationSettings(Settings):
-    """Which annotations a pair is compared with, and how sharply (Yin et al. 2018, eqs. 6 and 9)."""
+    """The annotations compared with a pair, and the bandwidth (Yin et al. 2018, eqs. 6 and 9)."""
 
     num_views: int = Field(default=20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
     num_candidates: int = Field(default=500, ge=1, description="Annotations compared with each view, nearest by view")

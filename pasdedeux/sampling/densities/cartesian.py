@@ -27,7 +27,7 @@ class CartesianLikelihood(AlignedLikelihood):
 
 
 CARTESIAN = Density("cartesian", "mean joint distance of the images", CartesianLikelihood, reads_annotations=True)
-"""A density that the published one is compared with: joint by joint."""
+"""A density for comparison with the published one: joint by joint."""
 
 
 @compiled()
@@ -42,7 +42,7 @@ def lower_cartesian(images, counts, slots, lanes, limit, margin, best, best_slot
         limit: Distance above which nothing matters unless a smaller one is found, metres.
         margin: How far behind the best view another still matters, metres.
         best: Least distances (m,), inf before; changed in place.
-        best_slot: Who has them, (m,); changed in place.
+        best_slot: Annotations that have them, (m,); changed in place.
     """
     num_points = images.shape[2]
     cosine, sine, total = np.empty(slots.shape[1]), np.empty(slots.shape[1]), np.empty(slots.shape[1])

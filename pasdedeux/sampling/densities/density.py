@@ -1,4 +1,4 @@
-"""What a density is: an `init` that makes a likelihood of settings and annotated pairs.
+"""Definition of a density: an `init` that makes a likelihood from settings and annotated pairs.
 
 `PairDensity` is prior times likelihood round one seed (Yin et al. 2018, eq. 1), as it is or truncated (eq. 11): what
 chains sample.
@@ -23,7 +23,7 @@ from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
 from pasdedeux.skeletons import PAIR17
 
 PRIOR_ONLY = "prior_only"
-"""The density that knows no annotation: what others are compared with."""
+"""The density without annotations, with which others are compared."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Nearest:
 
     Args:
         entry: Entry nearest under each view, (view,); -1 for a view without any.
-        dissimilarity_m: How far it is, (view,), metres; inf without any.
+        dissimilarity_m: Its dissimilarity, (view,), metres; inf without any.
     """
 
     entry: npt.NDArray[np.int64]
@@ -40,7 +40,7 @@ class Nearest:
 
 
 class Likelihood(ABC):
-    """The factor of a density beside the prior: one fixed function of the pair that never exceeds 1.
+    """The factor of a density besides the prior: a fixed function of the pair that never exceeds 1.
 
     It does not change when the pair moves rigidly, is finite on real pairs, and equals its plain form.  One that
     compares a pair with annotations also states its bandwidth, its views and the nearest annotations, which draws are
@@ -71,7 +71,7 @@ bound it, so the prior alone would have no integral."""
 
 
 class TargetSettings(PriorSettings):
-    """What every density is made with: the physical prior, and how far round the seed it reaches."""
+    """Settings of every density: the physical prior, and its reach around the seed."""
 
     truncation: Annotated[float, Field(gt=1)] | Literal["none"] = Field(
         default="none",
@@ -101,24 +101,24 @@ class Evaluation:
 
     @property
     def log_target(self) -> float:
-        """Log of the density over the parameters: what a chain compares."""
+        """Log of the density over the parameters, which a chain compares."""
         return self.log_density + self.log_measure
 
 
 class PairDensity:
     """The density round one seed.
 
-    With f0 the seed's density and c the truncation, the target is 0 below f0 / c, f between, and c f0 above (eq. 11).
-    A window round one pose cuts off what a density of so many dimensions has its mass in: log f of its draws varies by
-    tens, and a seed may lie anywhere in that.  It is a density over poses, flat in the directions of bones where
-    nothing is known; `PairChart.log_measure` makes it one over the parameters.  The target does not change when the
-    pair moves rigidly.
+    With f0 the seed's density and c the truncation, the target is 0 below f0 / c, f between, and c f0 above (eq. 11). A
+    window around one pose would cut off most of the mass of a density of so many dimensions: log f of its draws varies
+    by tens, and a seed may lie anywhere in that range.  It is a density over poses, flat in the directions of bones
+    without evidence; `PairChart.log_measure` converts it to one over the parameters.  The target does not change when
+    the pair moves rigidly.
 
     Args:
         chart: Parameters round the seed.
         prior: Physical prior.
         likelihood: Likelihood.
-        settings: How far round the seed it reaches; that of studies by default.
+        settings: Its reach around the seed; by default that of studies.
 
     Raises:
         InputError: The seed's density is 0, with the term that made it so.
@@ -151,7 +151,7 @@ class PairDensity:
         self.seed_evaluation = Evaluation(self.log_seed, terms.log_prior, log_likelihood)
 
     def __call__(self, parameters: Array, at_least: float = -np.inf) -> Evaluation:
-        """Return the target at parameters (108,); work ends as soon as it is known to lie below `at_least`.
+        """Return the target at parameters (108,), stopping as soon as it is known to lie below `at_least`.
 
         The result decides any comparison of `log_target` with `at_least` as the full density would.
         """
@@ -200,10 +200,10 @@ class Density:
     """A density that a study may choose by its name.
 
     Args:
-        name: Name in `chains.densities`, and of the draws.
+        name: Name in `chains.densities` and of the draws.
         meaning: A few words for people.
-        init: Makes its likelihood near one seed from `AnnotationSettings`, a generator for what is drawn once and then
-            fixed, and the annotated pairs with their views; raises InputError with what is missing.
+        init: Makes its likelihood near one seed from `AnnotationSettings`, a generator for values drawn once and then
+            fixed, and the annotated pairs with their views; raises an InputError that names missing data.
         reads_annotations: Whether it needs annotations; without, `init` is given None for them and their settings.
     """
 

@@ -31,9 +31,9 @@ _NUM_SPRUNG = 160
 class InteractionLikelihood(Likelihood):
     """The likelihood of eqs. 6 and 9 over a fixed bank, as a compiled kernel.
 
-    For each view every candidate's d_I is estimated from springs (`_springs`); only those that the estimate leaves a
-    chance are compared over the annotation's edges, then over the pair's own, while that can still matter.  Views far
-    behind the best one contribute less than rounding and are skipped, mostly before anything is triangulated.
+    For each view every candidate's d_I is estimated from springs (`_springs`); only candidates that may be the best by
+    this estimate are compared over the annotation's edges, then over the pair's own, as long as it matters.  Views far
+    behind the best one contribute less than rounding errors and are skipped, mostly before any triangulation.
 
     Args:
         pairs: Annotated pairs.
@@ -107,7 +107,7 @@ class InteractionLikelihood(Likelihood):
         if self._pooling is Pooling.EVERY_VIEW:
             limit *= len(self.directions)
         value = self._search(pair_m, limit, self._margin)
-        # Where every view counts, all have been searched when none gave up: `nearest` need not do so again.
+        # If every view counts, a finished search has covered all: `nearest` need not repeat it.
         self._searched_m = pair_m.copy() if self._pooling is Pooling.EVERY_VIEW and value > -np.inf else None
         return value if value >= at_least else -np.inf
 
@@ -133,7 +133,7 @@ class InteractionLikelihood(Likelihood):
         return Nearest(np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1), self._best.copy())
 
     def _search(self, pair_m: Array, limit: float, margin: float) -> float:
-        """Fill the least d_I of each view as far as it matters, and who has it; give the log likelihood."""
+        """Fill in the least d_I of each view as far as it matters, and its entry; return the log likelihood."""
         points = np.ascontiguousarray(pair_m).reshape(-1, 3)
         value, _ = best_per_view(points, self._tables, limit, margin, self._best, self._slot)
         return float(value)
@@ -155,9 +155,9 @@ def _springs(
     slots: npt.NDArray[np.int32],
     counts: npt.NDArray[np.int64],
 ) -> tuple[Array, npt.NDArray[np.float32]]:
-    """Return the springs of each view, whose roots at a difference of images estimate d_I, and what each root counts.
+    """Return the springs of each view, whose roots at a difference of images estimate d_I, and the factor of each root.
 
-    Each side of eq. 8 is a weighted mean of lengths l_e over edges that are not known beforehand.  With w_e the mean
+    Each side of eq. 8 is a weighted mean of lengths l_e over edges that are unknown beforehand.  With w_e the mean
     weight of an edge over the candidates of a view (0 where none has it) and s_e a typical length of its difference,
     (sum w l)^2 <= (sum w s) (sum w l^2 / s) by Cauchy and Schwarz, close where lengths are as typical.  The right side
     is a quadratic form of the difference.  Edges within each person and between them have forms of their own: two
@@ -191,7 +191,7 @@ def _springs(
             apart = np.linalg.norm(difference[:, None] - difference[None], axis=-1)
             typical += np.nan_to_num(apart, nan=0.0)
             times += np.isfinite(apart)
-    # As if all had been seen every time; those never seen together are as the others.
+    # As if all had always been seen; those never seen together get the mean of the others.
     rest = typical[times > 0].mean() if times.any() else 1.0
     typical = np.where(times > 0, typical * (times.max() / np.maximum(times, 1.0)), rest)
     forms = np.zeros((len(counts), 3, num_points, num_points))

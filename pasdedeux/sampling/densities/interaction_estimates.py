@@ -26,7 +26,7 @@ def _estimate(  # type: ignore[no-untyped-def]
         rank_x: x of the candidates, (n, most), int16, in some unit.
         rank_y: y of them.
         rank_squares: c' L c of them, (kind=3, most), float32, square metres.
-        factors: What the root of each kind counts, (kind=3, most), float32.
+        factors: Factor of the root of each kind, (kind=3, most), float32.
         count: Number of candidates.
         work: Scratch (8, most), float32; the first three rows become the values of the quadratic forms, square metres.
         turn: Result (2, most), float32: cosine and sine.
@@ -55,7 +55,7 @@ def _estimate(  # type: ignore[no-untyped-def]
             along_ab[c] += (ux * ox + uy * oy) + (vx * rx + vy * ry)
             across_ab[c] += (ux * oy - uy * ox) + (vx * ry - vy * rx)
     for c in range(count):
-        # Points that all coincide are not turned: the least number keeps 0 / 0 away.
+        # Coincident points are not turned: the smallest number avoids 0 / 0.
         scale = np.float32(1.0) / np.sqrt(max(dot[c] * dot[c] + cross[c] * cross[c], np.float32(1e-30)))
         cosine, sine = dot[c] * scale, cross[c] * scale
         turn[0, c], turn[1, c] = cosine, sine
@@ -82,7 +82,7 @@ def estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: i
         turn: Result (m, 2, most), float32: cosine and sine of the best rotation.
         estimate: Result (m, most), float32: estimates of d_I, metres.
         least: Result (m,): least of the estimates, metres; inf without candidates.
-        first: Result (m,): which candidate has it.
+        first: Result (m,): the candidate that has it.
     """
     num_points = points.shape[0]
     image = np.empty((2, num_points), dtype=np.float32)
@@ -149,7 +149,7 @@ def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-
     num_points = x.shape[0]
     dx, dy = np.empty(num_points, dtype=np.float32), np.empty(num_points, dtype=np.float32)
     is_left = np.empty(num_points, dtype=np.float32)
-    # What leaves each form, by the joint at the other end: a lane each, so sums stay in written order.
+    # Removed from each form, by the joint at the other end: a lane each, so sums keep their order.
     gone = np.empty((3, num_points), dtype=np.float32)
     springs, factors, slots = bank.springs[view], bank.factors[view], bank.slots[view]
     zero = np.float32(0.0)

@@ -12,10 +12,10 @@ from pasdedeux.interaction.triangulation import triangulate, workspace
 from pasdedeux.sampling.densities.interaction_estimates import estimate_views
 
 ESTIMATE_TOLERANCE_M = 1e-3
-"""What rounding may do to an estimate of d_I, metres: it is the root of a small difference of large numbers."""
+"""Rounding error of an estimate of d_I, metres: it is the root of a small difference of large numbers."""
 
 _ROUGH_TOLERANCE_M = 2e-5
-"""What the rough comparison in float32 may be wrong by, metres; for people within a few metres its error is 1e-6."""
+"""Allowed error of the rough comparison in float32, metres; for people within a few metres it is 1e-6."""
 
 
 MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52
@@ -38,7 +38,7 @@ class BankTables(NamedTuple):
         rank_x: x of the candidates' centred points, (m, n, most), int16.
         rank_y: y of them.
         rank_squares: The quadratic forms' values at them, (m, kind=3, most), float32, square metres.
-        factors: What each root counts in the estimate, (m, kind=3, most), float32.
+        factors: Factor of each root in the estimate, (m, kind=3, most), float32.
         points: Centred annotations (annotation, n, 2), metres; 0 where a joint is not seen.
         edges: Their Delaunay edges, between joints that are seen.
         weights: Their weights, summing to 1.
@@ -120,7 +120,7 @@ def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-d
     """Write the candidates, but for one, whose estimate is at most the ceiling; give their number."""
     number = 0
     for c in range(count):
-        # Written always and kept if wanted: no branch that would be guessed wrong.
+        # Always written, kept if wanted: this avoids mispredicted branches.
         chosen[number] = c
         number += estimate[c] <= ceiling and c != but
     return number
@@ -128,7 +128,7 @@ def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-d
 
 @inner_kernel()
 def _touch(slots, chosen, num_chosen, points, starts, ends, weights):  # type: ignore[no-untyped-def]
-    """Read from every cache line that comparing these candidates will need, so that they come from memory together."""
+    """Read from every cache line needed to compare these candidates, so that they are loaded together."""
     total = np.float32(0.0)
     for c in chosen[:num_chosen]:
         slot = slots[c]
@@ -203,7 +203,7 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
         best_slot[view] = -1
     estimate_views(points, bank, xs, ys, turn, estimate, least, first)
     overall = limit
-    # What views not looked at yet add to the sum at the least, and what those looked at add.
+    # Least contribution to the sum of the views not yet searched, and that of the searched ones.
     rest_m, sum_m = 0.0, 0.0
     if bank.is_every:
         for view in range(num_views):

@@ -22,7 +22,8 @@ from pasdedeux.sampling.densities.annotated import AnnotationSettings
 from pasdedeux.sampling.densities.density import Density
 
 NUM_RANKED = 32
-"""Candidates of a view that are compared, those with the least rigid residual: shape contexts are dear."""
+"""Number of candidates of a view, those with the least rigid residual, that are compared: shape contexts are
+expensive."""
 
 
 class ShapeContextLikelihood(AlignedLikelihood):
@@ -53,7 +54,7 @@ class ShapeContextLikelihood(AlignedLikelihood):
 
 
 SHAPE_CONTEXT = Density("shape_context", "shape context of the images", ShapeContextLikelihood, reads_annotations=True)
-"""A density that the published one is compared with: by a descriptor of shape."""
+"""A density for comparison with the published one: by a descriptor of shape."""
 
 
 @compiled()
@@ -76,7 +77,7 @@ def lower_shape(  # type: ignore[no-untyped-def]
         limit: Cost above which nothing matters unless a smaller one is found.
         margin: How far behind the best view another still matters.
         best: Least costs (m,), inf before; changed in place.
-        best_slot: Who has them, (m,); changed in place.
+        best_slot: Annotations that have them, (m,); changed in place.
     """
     num_views, num_points, most = images.shape[0], images.shape[2], slots.shape[1]
     cosine, sine, residual = np.empty((num_views, most)), np.empty((num_views, most)), np.empty(most)
@@ -88,13 +89,13 @@ def lower_shape(  # type: ignore[no-untyped-def]
         for k in range(num_points):
             x, y, px, py = images[view, 0, k], images[view, 1, k], lanes[view, k, 0], lanes[view, k, 1]
             for c in range(count):
-                # What is left of both after the turn, but for the image's own square.
+                # The residual after the turn, without the image's own square.
                 along, across = x * px[c] + y * py[c], x * py[c] - y * px[c]
                 residual[c] -= 2.0 * (cosine[view, c] * along + sine[view, c] * across)
         ranked[view, :count] = np.argsort(residual[:count], kind="mergesort")
     own = np.zeros(histograms.shape[2], dtype=np.int64)
     overall = limit
-    # The first of every view, then the second of every view: good ones are met early, and end others early.
+    # The first of every view, then the second of every view: good candidates come early and exclude others.
     for rank in range(min(num_ranked, most)):
         for view in range(num_views):
             if rank >= counts[view]:

@@ -18,7 +18,7 @@ from pasdedeux.skeletons import PAIR17
 
 @dataclass(frozen=True)
 class Steps:
-    """How far steps go before warm-up has learned factors on them, and how much they move together; ours.
+    """Sizes of steps before warm-up scales them, and the number of blocks moved together; our choice.
 
     Args:
         root_rotation_rad: Of a root's rotation, radians.
@@ -56,7 +56,7 @@ class GaussianBlocks(Proposal):
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Blocks, Array]:
         """Return the blocks of a step, 1 to `max_blocks` of them, wherever the chain is, and normal noise (n, 6)."""
-        # A number that nothing uses: chains keep the random numbers, and so the draws, that they have always had.
+        # An unused number: it preserves the sequence of random numbers, and so the draws, of earlier versions.
         rng.random()
         count = int(rng.integers(1, self.steps.max_blocks + 1))
         blocks = rng.choice(NUM_BLOCKS, size=count, replace=False, shuffle=False)

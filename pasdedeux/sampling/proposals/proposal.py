@@ -1,4 +1,4 @@
-"""What a proposal is: where a chain looks next, and what eq. 10 (Yin et al. 2018) must know of the step."""
+"""Definition of a proposal: a step of a chain, with the data for eq. 10 (Yin et al. 2018)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pasdedeux.sampling.speeds import Speeds
 class Proposal(ABC):
     """Steps of a chain over the 108 parameters of a pair.
 
-    A step draws all of its randomness from the generator it is given, leaves the point it starts from as it is, and
-    states the ratio of its densities both ways, so that the chain is in detailed balance with its target.  It
-    multiplies its deviations by the learned factors of the state, and says which blocks moved for warm-up to learn.
+    A step draws all of its randomness from the given generator, does not change the point it starts from, and states
+    the ratio of its densities both ways, so that the chain is in detailed balance with its target.  It multiplies its
+    deviations by the learned factors of the state, and reports the blocks that moved, for warm-up.
     """
 
     def init(self, parameters: Array) -> Context | None:
-        """Return what must be known of a point (108,) before it can be left; None when nothing must."""
+        """Return the data needed for a step from a point (108,); None if none are."""
         return None
 
     @abstractmethod

@@ -1,7 +1,7 @@
 """Steps that are wider where the annotations nearby move (Yin et al. 2018, eq. 12).
 
 The variance of every rotation and shift grows by the mean squared speed of the annotations nearest to the pair's
-projections.  It then depends on where the chain stands, and both densities enter eq. 10.  As the step back is the
+projections.  It then depends on the state of the chain, and both densities enter eq. 10.  As the step back is the
 step's own negative (the inverse of a turn), those are the densities of one displacement under the variances here and
 there.
 """

@@ -12,7 +12,7 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
 
 _CLOTH_M = 0.004
-"""Cloth between two bodies that touch."""
+"""Thickness of cloth between two touching bodies."""
 HEIGHT_LIMITS_M = (1.4, 2.1)
 """Body heights that the duets are made for, metres."""
 
@@ -63,7 +63,7 @@ class Physique:
     def rest_distance_m(self, other: Physique, *bones: str) -> float:
         """Return the distance of this body's wrist from the middle of another's bone on which its hand rests.
 
-        Cloth is between them.  Of several bones the thickest counts.
+        Cloth lies between them. If several bones are given, the thickest counts.
         """
         return max(map(other.radius_m, bones)) + self.radius_m("left_wrist") + _CLOTH_M
 

@@ -21,14 +21,14 @@ def window(time_s: Array, start_s: float, full_s: float, fade_s: float, stop_s: 
 
 
 def bump(fraction: Array, *, fall: int = 3) -> Array:
-    """Go from 0 at 0 over 1 at 3 / (3 + fall) back to 0 at 1: x^3 (1-x)^fall, scaled; 0 outside."""
+    """Rise from 0 at 0 to 1 at 3 / (3 + fall) and return to 0 at 1: x^3 (1-x)^fall, scaled; 0 outside."""
     x = np.clip(fraction, 0.0, 1.0)
     peak = 3 / (3 + fall)
     return np.asarray(x**3 * (1.0 - x) ** fall / (peak**3 * (1.0 - peak) ** fall))
 
 
 def halfway(weight: Array) -> Array:
-    """Return 1 where a weight (frame,) is half-way and 0 where it is 0 or 1, as a column (frame, 1), for detours."""
+    """Return 1 where a weight (frame,) is 0.5 and 0 where it is 0 or 1, as a column (frame, 1), for detours."""
     return np.asarray((4.0 * weight * (1.0 - weight))[:, None])
 
 

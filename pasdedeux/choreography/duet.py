@@ -1,4 +1,4 @@
-"""A duet: the motions of two people or more with their ground truth, the contacts and stances they are built with."""
+"""A duet: the motions of two or more people, with the contacts and stances of their construction as ground truth."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from pasdedeux.people.names import person_name
 from pasdedeux.settings import Settings
 
 _NUM_VARIED = 5
-"""Numbers that a variation draws; no duet uses more."""
+"""Number of random values of a variation; no duet uses more."""
 MIN_DURATION_S = 0.5
 
 
 class DuetStyle(Settings):
-    """Style of a duet: its length, who dances, and which take of it."""
+    """Style of a duet: its length, the dancers' heights, and the variation."""
 
     num_people: ClassVar[int] = 2
 
@@ -69,7 +69,7 @@ class DuetStyle(Settings):
 
     @property
     def vary(self) -> tuple[float, ...]:
-        """Numbers in -1..1 that tell this variation from others; zeros for variation 0."""
+        """Random values in -1..1 that characterise this variation; zeros for variation 0."""
         if self.variation == 0:
             return (0.0,) * _NUM_VARIED
         generator = np.random.default_rng(np.random.SeedSequence(self.variation))
@@ -77,7 +77,7 @@ class DuetStyle(Settings):
 
 
 class Dance(DuetStyle):
-    """A built-in duet: its style, where everybody's trunk and feet are, and where hands touch."""
+    """A built-in duet: its style, the motion of trunks and feet, and the contacts of hands."""
 
     @abstractmethod
     def place(self, person: int) -> DancerFrames:
@@ -85,12 +85,12 @@ class Dance(DuetStyle):
 
     @abstractmethod
     def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
-        """Bring everybody's hands where they belong, and return the contacts; what lies outside the duet is cut off."""
+        """Move everybody's hands to their places, and return the contacts; those outside the duet are cut off."""
 
     def make(self, name: str) -> Duet:
         """Return the duet: motions, stances of the feet, contacts that fall into its time.
 
-        Another speed samples the same motion over another time at another rate, and plays it at the asked-for rate.
+        Another speed samples the same motion over another time at another rate, and plays it at the requested rate.
         """
         speed = self.speed
         stop = self.duration_s * speed
@@ -141,7 +141,7 @@ class Contact:
         point_b: A point of the other person.
         distance_m: Distance of the two points while it holds: sum of the radii there, plus the gap if there is one.
         start_s: First time at which it holds.
-        stop_s: Time from which on it need not hold; the end of the duet by default.
+        stop_s: Time from which it need not hold; by default the end of the duet.
     """
 
     point_a: BonePoint
@@ -153,7 +153,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Stance:
-    """A foot that stands: `foot` ankle and toe are constant from `start_s` to `stop_s` (exclusive), both to the bit."""
+    """A standing foot: `foot` ankle and toe are constant from `start_s` to `stop_s` (exclusive), both to the bit."""
 
     person: int
     foot: str
@@ -200,7 +200,7 @@ class Duet:
         return np.flatnonzero(holds)
 
     def known_contacts(self, rate_hz: float) -> tuple[UserContact, ...]:
-        """Return the known contacts of the motion resampled to a rate, as they are stated to what keeps contacts."""
+        """Return the known contacts of the motion at another rate, in the form of stated contacts."""
         stated = []
         for contact in self.contacts:
             a, b = sorted((contact.point_a, contact.point_b), key=lambda point: point.person)

@@ -1,4 +1,4 @@
-"""The built-in duets by name, and what they teach of torsos."""
+"""The built-in duets by name, and the torso basis learned from them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DRAWN_SPEEDS = (0.85, 1.15)
 """Speeds of drawn duets."""
 
 DEFAULT_DUETS = ("waltz", "hug", "judo", "push_hands")
-"""What a study that names no motion gets, and what the torso basis is learned from."""
+"""Duets of a study that names no motion, from which the torso basis is learned."""
 
 
 def make_duet(name: str, **style: object) -> Duet:
@@ -53,9 +53,9 @@ def make_duet(name: str, **style: object) -> Duet:
 
 
 def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> list[dict[str, Any]]:
-    """Draw variation, speed and heights of everybody for so many takes of a duet.
+    """Draw variations, speeds and heights of everybody for several takes of a duet.
 
-    Nobody is as tall as anybody else: each height is from a part of `DRAWN_HEIGHTS_M` of its own.
+    All heights differ: each is drawn from its own part of `DRAWN_HEIGHTS_M`.
     """
     low, high = DRAWN_HEIGHTS_M
     bodies = count * num_people
@@ -88,7 +88,7 @@ def style_of(name: str, **style: object) -> Dance:
 def duet_torso_basis() -> TorsoBasis:
     """Return the torso basis learned from both people of every default duet, 10 s each at 6 Hz.
 
-    For studies that name no prior takes.  It has seen those duets: what is evaluated on them takes
+    It serves studies that name no prior takes. It has seen those duets, so evaluation on them uses
     `proportions_torso_basis` instead.
     """
     motions = [motion for name in DEFAULT_DUETS for motion in make_duet(name, rate_hz=6.0).motions]

@@ -1,4 +1,4 @@
-"""A figure: one person posed over time, trunk and feet first, then hands; every rotation is built, none is guessed."""
+"""A figure: one person posed over time, trunk and feet first, then hands, with explicit rotations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pasdedeux.skeletons import BODY22
 
 Angles = tuple[Part, Part, Part]
 _ELEVATION, _PROTRACTION = 0.20, 0.28
-"""How far the shoulder girdle goes with the arm, radians per unit of the arm's direction (about a third of the
+"""Rotation of the shoulder girdle with the arm, radians per unit of the arm's direction (about a third of the
 humerus up to the horizontal: Inman, Saunders and Abbott 1944)."""
 _PELVIS_SOFTNESS_M = 0.010
 
@@ -78,9 +78,9 @@ class DancerFrames:
         return np.asarray(self.positions_m[:, BODY22.index(joint_name)])
 
     def on_bone(self, bone_name: str, fraction: float, offset_m: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-        """Return a point (frame, 3) that is carried by a bone: a share of its length, and an offset in its rest axes.
+        """Return a point (frame, 3) that moves with a bone: at a share of its length, with an offset in its rest axes.
 
-        The bone is named by its end; it is carried by the joint where it begins.  Left, up and forward of the rest pose
+        The bone is named by its end; it moves with the joint where it begins.  Left, up and forward of the rest pose
         are the axes of the offset.
         """
         child = BODY22.index(bone_name)
@@ -100,13 +100,13 @@ class DancerFrames:
         return rotate(chest, columns(left, up, forward))
 
     def reach_hand(self, side: str, target_m: Array, elbow_pole: Array, *, palm: Array | None = None) -> None:
-        """Bring a wrist to its target (frame, 3).
+        """Move a wrist to its target (frame, 3).
 
         Args:
             side: left or right.
             target_m: Wanted wrist (frame, 3).
-            elbow_pole: Where the elbow points (frame, 3), world.
-            palm: Where the palm looks, (frame, 3) or (3,), world; the forearm turns so, at most 85 degrees either way.
+            elbow_pole: Direction of the elbow (frame, 3), world.
+            palm: Direction of the palm, (frame, 3) or (3,), world; the forearm turns at most 85 degrees either way.
         """
         sign = SIDES[side]
         chest, collar, shoulder, elbow, wrist = BODY22.indices(
@@ -142,7 +142,7 @@ class DancerFrames:
         )
 
     def _highest_pelvis(self, floor_m: Array) -> list[Array]:
-        """Return how high either leg lets the pelvis be (frame,)."""
+        """Return the greatest height of the pelvis that either leg allows (frame,)."""
         longest = STRETCH * (self.body.length_m("left_knee") + self.body.length_m("left_ankle"))
         highest = []
         for side, foot in zip(SIDES, self.feet, strict=True):
@@ -178,7 +178,7 @@ class DancerFrames:
         angle = np.zeros(len(self.positions_m))
         if palm is not None:
             seen = rotate(conjugate(self.unitquat[:, elbow]), normalise(palm))
-            # Half-angle form: no jump where the palm would have to turn by a half circle; 1.3: at most 85 degrees.
+            # Half-angle form: no jump if the palm would have to turn by a half circle; 1.3: at most 85 degrees.
             angle = 1.3 * np.arctan2(-seen[:, 2], 1.1 - seen[:, 1])
         return unitquat_from_rotvec(columns(angle, 0.0, 0.0))
 

@@ -1,4 +1,4 @@
-"""Vectors and rotations of people who face somewhere, and the two-bone reach that solves arms and legs."""
+"""Vectors and rotations by a person's facing, and the two-bone solution of arms and legs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def columns(*parts: Part) -> Array:
 
 
 def facing(yaw_rad: Part, left_m: Part, up_m: Part, forward_m: Part) -> Array:
-    """Return the world vector (*batch, 3) of left, up and forward parts of somebody who faces `yaw_rad`."""
+    """Return the world vector (*batch, 3) of left, up and forward parts of a person who faces `yaw_rad`."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return columns(left_m * c + forward_m * s, up_m, -left_m * s + forward_m * c)
 
@@ -89,6 +89,6 @@ def reach(root_m: Array, target_m: Array, pole: Array, upper_length_m: float, lo
     end = root_m + along * span[..., None]
     upper = (middle - root_m) / upper_length_m
     lower = (end - middle) / lower_length_m
-    # The bend is taken from the pole, not from the lower bone: it stays defined when the limb is straight.
+    # The bend comes from the pole, not from the lower bone, so it is defined for a straight limb, too.
     bend = along * (side / upper_length_m)[..., None] - out * (forward / upper_length_m)[..., None]
     return TwoBone(middle_m=middle, end_m=end, upper=upper, lower=lower, bend=bend)

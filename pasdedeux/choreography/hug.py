@@ -14,33 +14,33 @@ from pasdedeux.choreography.geometry import SIDES, on_floor
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 
 _ARRIVE_S, _HOLD_S, _LEAVE_S = 2.5, 3.3, 3.0
-"""When both have arrived; when the arms are closed; how long before the end the arms begin to open."""
+"""Times: both have arrived; the arms are closed; time before the end at which the arms begin to open."""
 _MIN_HOLD_S = 1.0
 _ALIKE_LIFT = 1.05
-"""How much higher the elbows of the one on top point when both are equally tall."""
+"""Additional upward direction of the upper person's elbows when both are equally tall."""
 _TRACK, _NEAR, _LEFT = 0.062, 0.097, 0.035
 """Distance of each foot from the middle of the body, fraction of height; how far either body is before and to the left
 of the middle in the embrace, fractions of the mean height."""
 _SWAY, _SWAY_S, _APPROACH = 0.022, 2.4, 0.95
-"""How far the pelvises go to either side, fraction of the mean height; time of one sway to and fro; distance of the two
-at the beginning, fraction of the mean height."""
+"""Amplitude of the pelvises' sway, fraction of the mean height; period of the sway; distance of the two at the
+beginning, fraction of the mean height."""
 
 
 class Hug(Dance):
     """Hug: the taller one's arms go over the shoulders, the other's round the waist.
 
     Contacts while the arms are closed: the four wrists on the partner's back.  The arms open 3 s before the end; a hug
-    of less than 7 s is the beginning of one that lasts longer.
+    of less than 7 s is the beginning of a longer one.
     """
 
     @property
     def open_s(self) -> float:
-        """When the arms begin to open."""
+        """Time at which the arms begin to open."""
         return max(self.duration_s - _LEAVE_S, _HOLD_S + _MIN_HOLD_S)
 
     @property
     def stops_m(self) -> tuple[float, float, float]:
-        """How far forward of the middle either person stands at the beginning, in the embrace and at the end."""
+        """Positions of either person in front of the middle at the beginning, in the embrace and at the end."""
         far = -0.5 * (_APPROACH * (1.0 + 0.08 * self.vary[0]) * self.mean_m)
         near = -_NEAR * self.mean_m
         return far, near, near + 0.5 * (far - near)

@@ -21,9 +21,9 @@ Vector = tuple[float, float, float]
 _CYCLE_S = 10.0
 """The whole form; a longer duet repeats it."""
 _IN_S, _HELD_S, _OUT_S, _LEAVE_S = 3.1, 4.7, 5.7, 7.2
-"""When A begins to turn in, is in, begins to turn out, is out."""
+"""Times: A begins to turn in, is in, begins to turn out, is out."""
 _LET_GO_S, _ON_BACK_S, _BACK_S, _REGRIP_S = 3.3, 4.6, 5.8, 7.3
-"""Until when A's right hand holds the lapel; from when and until when it lies on B's back; from when it holds again."""
+"""Times of A's right hand: it leaves the lapel; it is on B's back, and leaves it; it holds the lapel again."""
 _WALK = ((0.25, 1.30), (1.30, 2.35), (7.5, 8.55), (8.55, 9.6))
 """Walking: in each of these the pair moves by one step of both feet; two there and two back."""
 _HIP, _ASIDE = 0.205, -0.05
@@ -33,24 +33,24 @@ _TRACK = 0.075
 _TURNED_TRACK, _TURNED_SHIFT = 0.060, 0.045
 """The same while A is turned in, and how far both feet then stand away from the partner: the hip comes first."""
 _LEAD_S = 0.3
-"""How much earlier B's left hand leaves A's sleeve, and how much later it comes back."""
+"""Time by which B's left hand leaves A's sleeve earlier, and returns later."""
 _LAPEL_DEG = (40.0, 30.0)
-"""Where A's and B's right hands hold the other's lapel, from the front over the other's left."""
+"""Angles at which A's and B's right hands hold the other's lapel, from the front over the other's left."""
 _SLEEVE_SHARE = 0.75
-"""Where along the upper arm the sleeve is held."""
+"""Share of the upper arm at which the sleeve is held."""
 _SLEEVE_SIDE = (0.0, 0.6, -0.8)
-"""On which side of the upper arm: outside and behind, in its rest axes (along the bone, hinge, bend)."""
+"""Side of the upper arm, in its rest axes (along the bone, hinge, bend): outside and behind."""
 _OVER_RATIO = 1.11
-"""A who is so much taller than B puts the right arm over B's shoulder instead of under the arm."""
+"""If A is taller than B by this factor, A's right arm goes over B's shoulder instead of under the arm."""
 
 
 @dataclass(frozen=True)
 class _BackHold:
-    """A hand on the partner's back: where, how its elbow points, and by which detour it goes there.
+    """A hand on the partner's back: its place, the direction of its elbow, and its detour on the way.
 
     `bone`, `share` and `angle_deg` (from the front over the left) give the place; `pole` and `detour` are left, up and
-    forward of B's chest, the detour as a share of B's height.  `haste_s` is how much sooner it is there, and how much
-    later it leaves, than the contact states.
+    forward of B's chest, the detour as a share of B's height.  `haste_s` is the time by which it arrives before, and
+    leaves after, the stated contact.
     """
 
     bone: str
@@ -87,19 +87,19 @@ class Judo(Dance):
 
     @property
     def _starts_s(self) -> Array:
-        """When the form begins, each time."""
+        """Times at which the form begins."""
         return np.arange(0.0, max(self.duration_s, _CYCLE_S), _CYCLE_S)
 
     def _every_cycle(self, time_s: Array, rise_s: float, full_s: float, fade_s: float, stop_s: float) -> Array:
-        """Return a window (frame,) that comes once in every cycle."""
+        """Return a window (frame,) that recurs once in every cycle."""
         return np.asarray(sum(window(time_s - start, rise_s, full_s, fade_s, stop_s) for start in self._starts_s))
 
     def _inside(self, time_s: Array) -> Array:
-        """Return how far A is turned in (frame,), 0 to 1."""
+        """Return the degree to which A is turned in (frame,), 0 to 1."""
         return self._every_cycle(time_s, _IN_S, _HELD_S, _OUT_S, _LEAVE_S)
 
     def _station(self, person: int, time_s: Array) -> tuple[Array, Array]:
-        """Return where a person's pelvis is, X and Z (frame, 2), and its facing (frame,)."""
+        """Return the place of a person's pelvis, X and Z (frame, 2), and its facing (frame,)."""
         walked = [
             (start + start_s, start + stop_s, share)
             for start in self._starts_s
@@ -165,7 +165,7 @@ class Judo(Dance):
         return Plant.series(floor, yaw + sign * 0.22, np.append(-1.0, lands), np.append(lifts, 1e6))
 
     def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
-        """Bring all hands where they belong.
+        """Move all hands to their places.
 
         Right hands first: lapels and backs depend on the trunks alone.  Then left hands: sleeves depend on the right
         arms.
@@ -219,7 +219,7 @@ def _lapel(body: Physique, other: Physique) -> tuple[str, float]:
 def _on_trunk(
     wrist: BonePoint, figures: Sequence[DancerFrames], bone: str, share: float, angle_deg: float
 ) -> tuple[Array, Contact]:
-    """Return where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
+    """Return the place of a wrist on the partner's trunk (frame, 3), and the contact without its times."""
     figure, other = figures[wrist.person], figures[1 - wrist.person]
     rest_m = figure.body.rest_distance_m(other.body, bone, "spine3")
     point = other.round_bone(bone, share, rest_m, np.radians(angle_deg))
@@ -227,7 +227,7 @@ def _on_trunk(
 
 
 def _sleeve(wrist: BonePoint, figures: Sequence[DancerFrames]) -> tuple[Array, Array, Contact]:
-    """Return where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
+    """Return a left wrist's place on the partner's right sleeve, its palm's direction (frame, 3), and the contact."""
     figure, other = figures[wrist.person], figures[1 - wrist.person]
     rest_m = figure.body.rest_distance_m(other.body, "left_elbow")
     share = _SLEEVE_SHARE + 0.5 * max(0.0, other.body.height_m / figure.body.height_m - 1.0)

@@ -17,37 +17,37 @@ from pasdedeux.choreography.steps import FootPath, Plant, walk_feet, walk_foot
 from pasdedeux.kinematics.rotations import normalise
 
 _HOLD_S, _OPEN_S = 1.6, 8.3
-"""When both hands of both lie on the partner, and when they let go."""
+"""Times: both hands of both lie on the partner; they let go."""
 _RISE_S, _UP_S, _SINK_S, _DOWN_S = 2.0, 3.2, 6.8, 8.0
-"""When B begins to leave the floor, is up, begins to come down, stands again."""
+"""Times: B begins to leave the floor, is up, begins to come down, stands again."""
 _STEPS = ((3.2, 4.35), (4.35, 5.5), (5.5, 6.65))
 """A walks: in each of these both feet move."""
 _BENT_S = (0.9, _RISE_S - 0.1, _DOWN_S, 9.2)
-"""When both begin to bend to each other, are bent, begin to come up, stand upright."""
+"""Times: both begin to bend towards each other, are bent, begin to come up, stand upright."""
 _APART = 0.235
 """Distance of the two pelvises, fraction of the mean height."""
 _TRACK, _NARROW_TRACK = 0.075, 0.055
 """Distance of each foot of A and of B from the middle of the body, fraction of height."""
 _WAIST = 0.20
-"""A takes B so far below A's own shoulders, fraction of A's height, if B's trunk is there."""
+"""Distance below A's shoulders at which A holds B, fraction of A's height, if B's trunk is there."""
 _REACH = 0.96
-"""Share of the arms that the highest lift asks for, and the lowest of an upright A."""
+"""Share of the arms' reach used by the highest lift, and by the lowest of an upright A."""
 _LIFT, _STRIDE = 0.20, 0.12
-"""How high B is lifted, as far as the arms reach, and how far A goes in a step; fractions of the mean height."""
+"""Height to which B is lifted, within the arms' reach, and length of A's steps; fractions of the mean height."""
 _TURN_RAD = 1.2
-"""How far A turns with B in the air, to the left."""
+"""Angle by which A turns to the left with B in the air."""
 
 
 class Lift(Dance):
     """Lift of 10 s: contacts are A's hands on B's waist and B's hands on A's upper arms, from 1.6 to 8.3 s.
 
-    B's feet stand until 2 s and from 8 s on, and hang in between.  How high B comes is limited by the arms of both.  A
+    B's feet stand until 2 s and from 8 s on, and hang in between.  The height of B is limited by the arms of both.  A
     longer lift ends standing.
     """
 
     @property
     def _taller(self) -> float:
-        """By which share of B's height A is taller."""
+        """Difference of heights, A minus B, as a share of B's height."""
         return self.heights_m[0] / self.heights_m[1] - 1.0
 
     @cached_property
@@ -60,7 +60,7 @@ class Lift(Dance):
 
     @cached_property
     def _lift_m(self) -> tuple[float, float]:
-        """How high B is lifted, and how far A comes up with B in the air, 0 to 1: B must be high enough for A."""
+        """Height to which B is lifted, and how far A rises with B in the air, 0 to 1: B must be high enough for A."""
         lifter, lifted = self.bodies
 
         def reach_m(body: Physique, across_m: float) -> float:
@@ -76,7 +76,7 @@ class Lift(Dance):
         return lift_m, min(1.0, lift_m / low_m) if low_m > 0.0 else 1.0
 
     def _station(self, person: int, time_s: Array) -> tuple[Array, Array]:
-        """Return where a person's pelvis is, X and Z (frame, 2), and its facing (frame,)."""
+        """Return the place of a person's pelvis, X and Z (frame, 2), and its facing (frame,)."""
         progress = moves(time_s, 0.0, [(*span, float(step)) for step, span in enumerate(_STEPS, start=1)])
         yaw = _TURN_RAD * (1.0 + 0.1 * self.vary[1]) * progress / len(_STEPS)
         # The middle of an arc walked forward, in the direction faced half way.
@@ -130,7 +130,7 @@ class Lift(Dance):
         return Plant.series(floor, yaw + sign * 0.2, [-1.0, *(lift + 0.55 for lift in lifts)], [*lifts, 1e6])
 
     def _hanging(self, side: str, body: Physique, floor: Array, yaw: Array, up: Array) -> FootPath:
-        """Return a foot of B: it stands, hangs below the hips with the toes down, and stands where A came to."""
+        """Return a foot of B: it stands, hangs below the hips with the toes down, and stands at A's new place."""
         sign = SIDES[side]
         aside, ahead = sign * _NARROW_TRACK * body.height_m, -0.02 * body.height_m
         turned = sign * 0.12

@@ -1,4 +1,4 @@
-"""Push-hands: two people in bow stance, wrists and elbows in touch, circling as the weight goes to and fro."""
+"""Push-hands: two people in bow stance, wrists and elbows touching, circle while their weight moves to and fro."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _FEET = ((0.062, -0.175, 0.75), (-0.062, 0.165, -0.05))
 """Left foot, which stands behind, and right foot: left and forward of the middle of the stance, fractions of height;
 and where it points, radians."""
 _CIRCLE_S = 2.6
-"""Time of one circle."""
+"""Duration of one circle."""
 _WIDTH, _DEPTH, _SHIFT, _APART = 0.050, 0.055, 0.050, 0.385
-"""Half width and half depth of the circle, how far the pelvis goes forward and back, distance of the two stances;
+"""Half width and half depth of the circle, amplitude of the pelvis forward and back, distance of the two stances;
 fractions of the mean height."""
 
 
 class PushHands(Dance):
     """Push-hands: right foot in front, the feet never move, right wrists circle, left hands at the right elbows.
 
-    The circle lies level at first, stands upright two circles later, and so on.  Contacts, all the time: right wrist on
+    The circle is horizontal at first, upright two circles later, and so on.  Contacts, all the time: right wrist on
     right wrist, A's left wrist at B's right elbow, B's left wrist at A's right elbow.
     """
 
@@ -62,9 +62,9 @@ class PushHands(Dance):
         return walk_foot(self.time_s, body, Plant.series(at[None], yaw + out_rad, -1.0, 1e3))
 
     def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
-        """Bring right wrists to the point of touch, then left wrists to the other's right elbow."""
+        """Move right wrists to the point of contact, then left wrists to the other's right elbow."""
         bodies, phase, mean_m = self.bodies, self.phase, self.mean_m
-        # The point of touch, nearer to the shorter arm; level circle and upright circle in turn.
+        # The point of contact, nearer to the shorter arm; horizontal and upright circles alternate.
         upright = (0.5 - 0.5 * np.cos(0.26 * phase)) * (0.85 + 0.15 * self.vary[3])
         size = mean_m * (1.0 - 0.1 * abs(self.vary[4]))
         share = self.heights_m[0] / sum(self.heights_m) - 0.5

@@ -19,7 +19,7 @@ from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.skeletons import BODY22
 
 _PEEL = 0.22
-"""Share of a swing during which the heel rises over the ball of the foot that still stands."""
+"""Share of a swing in which the heel rises over the ball of the foot, which still stands."""
 _CLEARANCE = 0.018
 """Height of the arc of a step, fraction of body height."""
 _STANDING_GAP, _PASSING_GAP = 0.085, 0.062
@@ -39,9 +39,9 @@ class Plant:
         x_m: Ankle, world X.
         z_m: Ankle, world Z.
         yaw_rad: Direction of the foot about +Y, 0 along +Z.
-        land_s: When the foot is flat and still.
-        lift_s: When the heel begins to rise.
-        bow_m: How far the swing that ends here bows to the left of the foot's path (negative: to the right).
+        land_s: Time from which the foot is flat and still.
+        lift_s: Time at which the heel begins to rise.
+        bow_m: Lateral bow of the swing that ends here, to the left of the foot's path (negative: to the right).
     """
 
     x_m: float
@@ -77,7 +77,7 @@ def walk_foot(time_s: Array, body: Physique, plants: Sequence[Plant], *, heel: f
         time_s: Times (frame,).
         body: Whose foot.
         plants: Plants in order of time, at least one; the first holds before, the last after.
-        heel: How much the heel rises, 1 for a plain walk.
+        heel: Rise of the heel, 1 for a plain walk.
     """
     ankle_to_toe = body.rest_offsets_m[BODY22.index("left_toe")]  # the right one is the same
     ball = np.array([_ball(plant, ankle_to_toe) for plant in plants])
@@ -150,7 +150,7 @@ class Rhythm:
             yaw_rad: Facing at each beat (beat,).
             is_left: Which foot lands (beat,).
             track: Distance of each foot from the middle of the body, fraction of height.
-            out_rad: How far the toes point outward.
+            out_rad: Angle of the toes outward.
         """
         left, right = (
             Plant.series(

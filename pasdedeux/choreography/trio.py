@@ -18,8 +18,8 @@ _ROUND = 8
 _TEMPO_BPM = 96.0
 """Beats per minute, a side step each."""
 _RADIUS, _CLOSING, _STRIDE, _RISE = 0.35, 0.04, 0.045, 0.07
-"""Distance of the pelvises from the middle of the ring, how much nearer they come when it closes, length of a side step
-to the left, how much higher the hands are when it is closed; fractions of the mean height."""
+"""Distance of the pelvises from the middle of the ring, their approach when it closes, length of a side step to the
+left, rise of the hands when it is closed; fractions of the mean height."""
 
 
 class Trio(Dance):
@@ -31,14 +31,14 @@ class Trio(Dance):
     num_people: ClassVar[int] = 3
 
     def _rhythm(self) -> tuple[Rhythm, Array]:
-        """Return the beats, and how closed the ring is at each (beat,), 0 to 1."""
+        """Return the beats, and the degree to which the ring is closed at each (beat,), 0 to 1."""
         rhythm = Rhythm.of(self.time_s, self.duration_s, _TEMPO_BPM * (1.0 + 0.05 * self.vary[0]))
         return rhythm, 0.5 - 0.5 * np.cos(2.0 * np.pi * (rhythm.beats / _ROUND + 0.5 * self.vary[1]))
 
     def place(self, person: int) -> DancerFrames:
         """Place trunk and feet of one dancer.
 
-        B steps with the other foot, and everybody looks round and bends at another time.
+        B steps with the other foot, and everybody looks round and bends at a different time.
         """
         body, (rhythm, closed) = self.bodies[person], self._rhythm()
         turn_rad = -_STRIDE * (1.0 - 0.2 * abs(self.vary[3])) / _RADIUS
@@ -68,7 +68,7 @@ class Trio(Dance):
 
 
 def _clasp(figures: Sequence[DancerFrames], first: int, other: int, raised_m: Array) -> Contact:
-    """Bring a left and a right wrist together between two shoulders, so that both arms are as straight."""
+    """Join a left and a right wrist between two shoulders so that both arms are equally straight."""
     giver, taker = figures[first], figures[other]
     shoulders = giver.joint("left_shoulder"), taker.joint("right_shoulder")
     across = (shoulders[1] - shoulders[0]) * [1.0, 0.0, 1.0]

@@ -16,7 +16,7 @@ from pasdedeux.choreography.steps import Rhythm
 from pasdedeux.skeletons import BODY22
 
 _TRAVEL = np.array([0.50, 0.95, 1.0])
-"""Share of a bar's travel that the weight has done over the 1st, 2nd and 3rd step: long, side, close."""
+"""Share of a bar's travel completed by the weight over the 1st, 2nd and 3rd step: long, side, close."""
 _TURN = np.array([0.36, 0.80, 1.0])
 """Share of a bar's half turn, likewise."""
 _TEMPO_BPM = 88.0
@@ -25,8 +25,8 @@ _TURN_PER_BAR_RAD = -1.6
 """Turn of the pair in a bar, to the right; the rest of the half turn is the bend of the line of dance, so the pair
 travels on a circle."""
 _STRIDE, _APART, _ASIDE = 0.36, 0.304, 0.066
-"""How far the pair travels in a bar, distance of the pelvises in the direction they face, how far B stands to the right
-of A's middle; fractions of the mean height."""
+"""Travel of the pair in a bar, distance of the pelvises in the direction they face, place of B to the right of A's
+middle; fractions of the mean height."""
 _RISE = 0.008
 """Rise and fall of the pelvis in a bar, fraction of body height."""
 
@@ -82,7 +82,7 @@ class Waltz(Dance):
         return on_circle(radius_m, angle) + offset, yaw + np.pi * person
 
     def hold(self, figures: Sequence[DancerFrames]) -> list[Contact]:
-        """Bring the four hands into closed hold."""
+        """Move the four hands into closed hold."""
         leader, follower = figures
         # Clasped hands: wrists either side of a point out on the leader's left, between the two chests.
         middle = 0.5 * (leader.joint("spine3") + follower.joint("spine3"))
@@ -118,7 +118,7 @@ class Waltz(Dance):
     def _round_the_back(self, leader: Physique, follower: Physique, bone: str, share: float, rest_m: float) -> float:
         """Return how far round the follower's back the leader's wrist goes, radians from her front over her left side.
 
-        As far as 92 % of the leader's arm reaches when both stand upright, at most to the shoulder blade.
+        It is within 92 % of the reach of the leader's arm when both stand upright, at most at the shoulder blade.
         """
         angles = np.linspace(0.25, 0.64, 79) * np.pi
         shoulder_x = -leader.rest_offsets_m[BODY22.indices(["left_collar", "left_shoulder"]), 0].sum()

@@ -8,7 +8,7 @@ what "in contact" means everywhere.
 
 Not all that is near is a contact.  On bodies of other sizes distances to neighbouring bones cannot all stay what they
 were, and would pull a hand off the place where it lies.  So a hand or foot touches the bone nearest to it, and other
-bones touch where they are closest to each other, not at a joint beyond which the next bone is closer.
+bones touch where they are closest, but not at a joint beyond which the next bone is closer.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from pasdedeux.skeletons import Skeleton
 Indices = npt.NDArray[np.int64]
 
 _TOUCH_M = (0.02, 0.08)
-"""Distance of surfaces: in contact up to the first (cloth, flesh, capsules that taper less than limbs do), not beyond
-the second."""
+"""Distance of surfaces: in contact up to the first (for cloth, flesh, and limbs that taper more than capsules), not
+beyond the second."""
 _HAND_M = 0.08
-"""How far a hand reaches beyond the wrist, in which the working skeletons end: middle of the palm."""
+"""Distance from the wrist, where the working skeletons end, to the middle of the palm."""
 _HAND_SHARE = 0.5
-"""From here on along a forearm or shank a point becomes one of the hand or foot."""
+"""Share of a forearm or shank from which on a point counts increasingly as one of the hand or foot."""
 _NEXT_M = 0.015
-"""A hand or foot touches the nearest bone; the weight of another falls by 1/e for every such length it is farther."""
+"""A hand or foot touches the nearest bone; the weight of others falls by 1/e for each such length beyond."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of weights and points over time."""
 _SMALLEST_WEIGHT = 1e-2
@@ -47,13 +47,13 @@ _SMALLEST_WEIGHT = 1e-2
 
 @dataclass(frozen=True)
 class Contacts:
-    """The contacts of each frame, filled up to M with contacts of weight 0.
+    """The contacts of each frame, padded to M with contacts of weight 0.
 
     Args:
         points: Ends of the first bone and of the second (T, M, 4), the joints of all people numbered through.
-        shares: What the ends contribute to the vector from the second point to the first (T, M, 4).
+        shares: Factors of the ends in the vector from the second point to the first (T, M, 4).
         weights: From 0 to 1, or as stated (T, M).
-        hand: How much the two points are of a hand or foot (T, M, 2), from 0 to 1.
+        hand: Degree to which the two points belong to a hand or foot (T, M, 2), from 0 to 1.
         objects: The object that the second point is of (T, M), -1 where it is of a person.
         places_m: Where that point of the object is (T, M, 3), metres; zeros elsewhere.
     """
@@ -123,7 +123,7 @@ def find_contacts(
             are those of the skeleton.
         own: Bones with which people may touch themselves (n, 2), by child joint, the hand's first; there a hand does
             not reach beyond its wrist, or arms that hang would touch the thighs.
-        objects: What else may be touched, by every bone.
+        objects: Objects, which every bone may touch.
     """
     bones, share, gap = _all_gaps(people_m, radii_m, skeleton, own, objects)
     hand, weights = _found(bones, share, gap, skeleton)
@@ -152,7 +152,7 @@ def find_contacts(
 def _all_gaps(
     people_m: Array, radii_m: Array, skeleton: Skeleton, own: Indices | None, objects: MovingObjects | None
 ) -> tuple[Indices, Array, Array]:
-    """Return all that may touch: two bones (n, 2), where they are nearest (T, n, 2), and their gap (T, n), metres."""
+    """Return all bones that may touch (n, 2), where they are nearest (T, n, 2), and their gap (T, n), metres."""
     num_people, joints = people_m.shape[1], skeleton.num_joints
     children = np.array([child for _, child in skeleton.bones])
     each = np.stack(np.broadcast_arrays(children[:, None], children), axis=-1).reshape(-1, 2)
@@ -164,7 +164,7 @@ def _all_gaps(
     points = merge_axes(np.ascontiguousarray(people_m, dtype=np.float64), 1, -1)
     radii, parents = np.ravel(np.asarray(radii_m, dtype=np.float64)), parents_of(skeleton, num_people)
     if objects is not None:
-        # Their ends come last, the first object's at the very end: -1 is its bone.
+        # The ends of objects come last, the first object's at the very end, so that -1 is its bone.
         things = -1 - np.arange(len(objects.names))
         everyone = (children + joints * np.arange(num_people)[:, None]).ravel()
         bones = np.concatenate([bones, np.stack(np.meshgrid(everyone, things, indexing="ij"), -1).reshape(-1, 2)])
@@ -176,7 +176,7 @@ def _all_gaps(
 
 
 def _found(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> tuple[Array, Array]:
-    """Return how much the points of two bones are of a hand or foot (T, n, 2), and the weights of contact (T, n)."""
+    """Return the degree to which points belong to a hand or foot (T, n, 2), and the weights of contact (T, n)."""
     joints = skeleton.num_joints
     hand, is_own = _hands(bones, share, skeleton), bones[:, 0] // joints == bones[:, 1] // joints
     away = gap_m - _HAND_M * (hand * _is_hand(skeleton)[bones % joints]).sum(axis=-1) * ~is_own
@@ -196,7 +196,7 @@ def _clear(
     skeleton: Skeleton,
     objects: MovingObjects | None,
 ) -> None:
-    """Take out of found weights (T, n) what a stated contact replaces: its two bones, and all of its hand or foot."""
+    """Clear the found weights (T, n) that a stated contact replaces: its two bones, and all of its hand or foot."""
     both, when = contact.bones(skeleton, objects), slice(contact.start_frame, contact.stop_frame)
     weights[when, (np.sort(bones, axis=1) == np.sort(both)).all(axis=1)] = 0.0
     if contact.weight > 0:
@@ -217,7 +217,7 @@ def averaged(values: Array, sigma: float) -> Array:
 def stated_contacts(
     stated: Sequence[UserContact], num_frames: int, skeleton: Skeleton, objects: MovingObjects | None = None
 ) -> Contacts:
-    """Return contacts just as they are stated, without those found, without averaging and without the floor's."""
+    """Return contacts exactly as stated, without found ones, averaging, and contacts with the floor."""
     held = [contact for contact in stated if not contact.is_of_floor]
     rows = [(frame, contact) for contact in held for frame in range(contact.start_frame, contact.stop_frame)]
     rows.sort(key=lambda row: row[0])
@@ -244,7 +244,7 @@ def _pack(
     if objects is not None:
         starts, ends = (objects.ends_m[frame, thing, end] for end in (0, 1))
         places_m = np.where((thing >= 0)[:, None], starts + t[:, None] * (ends - starts), 0.0)
-    # A point of an object is given: no joint contributes to it.
+    # A point of an object is given, so no joint contributes to it.
     second = np.where((thing >= 0)[:, None], 0.0, np.stack([t - 1.0, -t], axis=-1))
     people = np.where(bones < 0, bones[:, :1], bones)
     return Contacts(
@@ -260,9 +260,9 @@ def _pack(
 def _of_each_hand(
     bones: Indices, is_own: npt.NDArray[np.bool_], skeleton: Skeleton
 ) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
-    """Yield for each bone that ends in a hand or foot the pairs (pair, 2) it is in, and as which of the two.
+    """Yield the pairs (pair, 2) of each bone that ends in a hand or foot, and its place in them (0 or 1).
 
-    What is touched of other people, of oneself and of objects comes apart: a hand in a hand may lie on a box, too.
+    Contacts with other people, oneself and objects are separate: a hand in a hand may also lie on a box.
     """
     is_end = np.array([name.endswith(("wrist", "ankle", "toe")) for name in skeleton.joint_names])
     touched = np.where(bones[:, 1] < 0, 2, is_own)
@@ -278,7 +278,7 @@ def _is_hand(skeleton: Skeleton) -> npt.NDArray[np.bool_]:
 
 
 def _hands(bones: Indices, share: Array, skeleton: Skeleton) -> Array:
-    """Return how much points (T, n, 2) at a share of bones (n, 2) are of a hand or foot."""
+    """Return the degree to which points (T, n, 2) at a share of bones (n, 2) belong to a hand or foot."""
     is_end = np.array([name.endswith(("wrist", "ankle")) for name in skeleton.joint_names])
     is_foot = np.array([name.endswith("toe") for name in skeleton.joint_names])
     joints = bones % skeleton.num_joints

@@ -21,7 +21,7 @@ from pasdedeux.interaction.nearest import Coverage, PairTable, pair_table
 from pasdedeux.interaction.shape_context import Bins, ShapeCoverage, shape_bins
 
 _CHUNK = 512
-"""Draws made ready at a time: bounds the memory for their edges."""
+"""Draws prepared at a time; limits the memory for their edges."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class CoverageCurve:
     """Coverage against the number of draws.
 
     Args:
-        num_draws: Draws taken so far, (point,).
+        num_draws: Number of draws so far, (point,).
         interaction_m: C(G, S) in D_I, (point,), metres.
         cartesian_m: C(G, S) in D_C, (point,), metres.
         shape: C(G, S) in D_S, (point,), from 0 to 1.
@@ -58,12 +58,12 @@ def coverage_curve(real_m: Array, draws_m: Array, num_draws: Sequence[int]) -> C
 
 
 class DrawPart(NamedTuple):
-    """Some of the draws made ready: 12 kB each.
+    """Some of the draws, prepared: 12 kB each.
 
     Args:
         table: For D_I and D_C.
         bins: For D_S.
-        point: Draws taken so far, where the curve has a point; else 0.
+        point: Number of draws so far if the curve has a point here; else 0.
     """
 
     table: PairTable
@@ -72,7 +72,7 @@ class DrawPart(NamedTuple):
 
 
 def draw_parts(draws_m: Array, num_draws: Sequence[int]) -> Iterator[DrawPart]:
-    """Yield what `curve_of_parts` takes, a few hundred draws at a time; for the rest see `coverage_curve`."""
+    """Yield the input of `curve_of_parts`, a few hundred draws at a time; for the arguments see `coverage_curve`."""
     points = sorted({int(point) for point in num_draws if 1 <= point <= len(draws_m)})
     if not points:
         raise InputError(f"no point of the curve lies between 1 and the {len(draws_m)} draws")
@@ -85,7 +85,7 @@ def draw_parts(draws_m: Array, num_draws: Sequence[int]) -> Iterator[DrawPart]:
 
 
 def curve_of_parts(real_m: Array, parts: Iterable[DrawPart]) -> CoverageCurve:
-    """Return what `coverage_curve` does of draws that `draw_parts` made ready."""
+    """Return the result of `coverage_curve` for draws that `draw_parts` prepared."""
     coverage, by_shape = Coverage(real_m), ShapeCoverage(real_m)
     points, curves = list[int](), list[list[float]]()
     for part in parts:
@@ -101,7 +101,7 @@ def curve_of_parts(real_m: Array, parts: Iterable[DrawPart]) -> CoverageCurve:
 
 
 def _is_first(draws_m: Array) -> npt.NDArray[np.bool_]:
-    """Return which draws (draw, ...) are not there before, (draw,): a chain that stays repeats its draw."""
+    """Return which draws (draw, ...) are the first of their value, (draw,): a chain that stays repeats its draw."""
     rows = merge_axes(np.ascontiguousarray(draws_m), 1)
     whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel()
     is_first = np.zeros(len(rows), dtype=bool)

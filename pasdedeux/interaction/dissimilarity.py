@@ -1,7 +1,7 @@
 """Dissimilarities between pairs: interaction coordinates d_I in 2D, D_I in 3D, and the Cartesian D_C, in plain numpy.
 
-These are the definitions and the oracle; `kernels` has the fast forms.  A point that is NaN is not seen: it takes no
-part in the alignment, and an edge counts only where both pairs show both of its ends.
+These are the definitions and the oracle; `kernels` has the fast forms.  A NaN point is not seen: it is ignored in the
+alignment, and an edge counts only if both pairs show both of its ends.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ def interaction_dissimilarity(first: Array, second: Array) -> float:
     is symmetric and 0 for the same shape, but no metric: edges change with the points.
 
     A point may be missing (NaN).  The alignment is over the points that both have, the graph of each over those that it
-    has itself, and the edges of which both have both ends count.  With a complete `first`, one graph of it serves for
-    every `second`, whatever that lacks.  A graph over shared points alone comes as close to d_I of complete pairs:
-    correlation 0.990 against 0.989 with a tenth of the joints hidden, 0.939 against 0.935 with four tenths.
+    has itself, and the edges of which both have both ends count.  With a complete `first`, its graph can be used for
+    every `second`, whatever points that lacks.  A graph over shared points alone comes as close to d_I of complete
+    pairs: correlation 0.990 against 0.989 with a tenth of the joints hidden, 0.939 against 0.935 with four tenths.
 
     Raises:
         InputError: Fewer than two points are there in both.

@@ -1,6 +1,6 @@
-"""Who stands when: one floor under all people, and the feet that stand on it.
+"""Standing feet: one floor under all people, and the feet that stand on it.
 
-A foot stands that is slow, no higher than the other foot, and near the floor.  The floor is that of the lowest feet of
+A foot stands if it is slow, no higher than the other foot, and near the floor.  The floor is that of the lowest feet of
 *all* people about that time, so a person who is held up in the air stands on nothing, however still the feet hang.
 """
 
@@ -17,9 +17,10 @@ Booleans = npt.NDArray[np.bool_]
 
 _UP, _AWAY = 1, 2
 _NEAR_PERCENT = 20.0
-"""Of the frames about one the lowest foot is no higher than the floor: it jumps and steps, and noise goes below."""
+"""Percentile of the lowest foot around a frame that is taken for the floor: feet jump and step, and noise goes
+below."""
 _FLOOR_QUANTILE = 0.1
-"""The same of a whole motion, over the lower foot of all who stand."""
+"""The same for a whole motion, over the lower foot of all standing people."""
 
 
 class StandingSettings(Settings):
@@ -45,8 +46,8 @@ def find_standing(
     """Return which feet stand (frame, person, foot).
 
     Args:
-        feet_m: Ankles (frame, person, foot=2, 3), upright axes (y up, z towards the camera), metres; of people who are
-            not there anything finite.
+        feet_m: Ankles (frame, person, foot=2, 3), upright axes (y up, z towards the camera), metres; of absent people,
+            any finite values.
         rate_hz: Frames per second.
         settings: What counts.
         is_present: Who is there (frame, person); all where not given.

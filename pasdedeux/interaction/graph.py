@@ -1,4 +1,4 @@
-"""The Delaunay graph over the joints of a pair: which joints' differences are interaction coordinates.
+"""The Delaunay graph over the joints of a pair: its edges define the interaction coordinates.
 
 After Yin et al. (2018), section 4.3.  The plain form over one point set, in the plane or in space; the fast planar
 triangulation is in `triangulation`.
@@ -44,7 +44,7 @@ def delaunay_edges(points: Array) -> Edges:
     except QhullError:
         # Flat even after the jitter, by Qhull's own tolerance: let Qhull joggle (its QJ option is deterministic).
         simplices = Delaunay(points + _jitter(num_points, dimension), qhull_options="QJ Qbb Qc").simplices
-    # Flags, as sorting pairs of points takes as long as Qhull.
+    # Flags, because sorting pairs of points would take as long as Qhull.
     return np.stack(np.nonzero(joined(simplices, num_points) & _is_above(num_points)), axis=1).astype(np.int32)
 
 

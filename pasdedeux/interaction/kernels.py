@@ -152,8 +152,8 @@ def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     """Write the proper rotation that turns centred points `moving` (n, 3) best onto centred `fixed` (n, 3).
 
     Largest eigenvector of Horn's 4x4 matrix (Horn 1987) by Newton steps on its characteristic polynomial from above
-    (Theobald 2005), then one Rayleigh step; LAPACK where the largest eigenvalue is not single.  `key`, `m` (4, 4) and
-    `q` (4,) are scratch, `rotmat` (3, 3) the result.
+    (Theobald 2005), then one Rayleigh step; LAPACK if the largest eigenvalue is not simple.  `key`, `m` (4, 4) and `q`
+    (4,) are scratch, `rotmat` (3, 3) the result.
     """
     xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
     squares = 0.0

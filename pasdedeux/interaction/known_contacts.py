@@ -1,4 +1,4 @@
-"""Contacts that are known of a take: stated by a study or a duet, or read from a table."""
+"""Known contacts of a take: stated by a study or a duet, or read from a table."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class UserContact(Settings):
 
     @property
     def persons(self) -> tuple[int, ...]:
-        """Numbers of the people, one where something is touched."""
+        """Numbers of the people; one if an object or the floor is touched."""
         names = [self.person_a] if self.object else [self.person_a, self.person_b]
         return tuple(map(person_index, names))
 
@@ -85,10 +85,10 @@ class UserContact(Settings):
 def check_contacts(
     stated: Sequence[UserContact], *, name: str, num_frames: int, num_people: int, objects: MovingObjects | None
 ) -> None:
-    """Refuse contacts of frames, people or objects that a take does not have.
+    """Refuse contacts with frames, people or objects that a take does not have.
 
     Raises:
-        InputError: With the contact in words, and what is there.
+        InputError: The message has the contact in words, and the names that exist.
     """
     things = (*(objects.names if objects else ()), FLOOR)
     for contact in stated:

@@ -1,8 +1,8 @@
 """D_I and D_C between many pairs: running minima over draws, and whole tables of distances.
 
-D_I in 3D sums over 300 edges or so of two pairs.  An estimate in single precision over all pairs of joints, most of
-weight 0, which runs without gathers, decides whether a draw may be nearer than the nearest so far; only then the exact
-sum is taken.
+D_I in 3D sums over about 300 edges of two pairs.  An estimate in single precision over all pairs of joints (most have
+weight 0), which needs no gathers, decides whether a draw may be nearer than the nearest so far; only then is the exact
+sum computed.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _ESTIMATE_SLACK = 1e-4
 
 
 class PairTable(NamedTuple):
-    """Pairs made ready for comparison.
+    """Pairs prepared for comparison.
 
     Args:
         points: Centred joints of both people (pair, n, 3), metres.
         edges: Edges of their Delaunay tetrahedra, see `EdgeTable`.
         weights: Their weights (eq. 8).
-        counts: Their numbers.
+        counts: The numbers of edges.
         ring: The same weights by distance on a ring: of joints k and k + g + 1 (mod n) at (pair, g, k).
     """
 
@@ -44,7 +44,7 @@ class PairTable(NamedTuple):
 
 
 def pair_table(pairs_m: Array) -> PairTable:
-    """Make pairs (pair, person=2, joint, 3), metres, ready for comparison.
+    """Prepare pairs (pair, person=2, joint, 3), metres, for comparison.
 
     Raises:
         InputError: A coordinate is not finite.
@@ -99,7 +99,7 @@ class Coverage:
 def interaction_distances(first_m: Array | PairTable, second_m: Array | PairTable) -> Array:
     """Return D_I (n, m), metres, between pairs (n, person, joint, 3) and (m, person, joint, 3), metres.
 
-    Pairs that are compared several times are given as `pair_table` has made them ready.
+    Pairs that are compared repeatedly can be prepared by `pair_table`.
 
     Raises:
         InputError: A coordinate is not finite.
@@ -167,7 +167,7 @@ def _shared_side(points, edges, count, is_shared, dx, dy):  # type: ignore[no-un
 
 @inner_kernel()
 def _plane_gaps(moving, fixed, is_shared, dx, dy):  # type: ignore[no-untyped-def]
-    """Write the differences of points turned and shifted onto others where both are there; give their number."""
+    """Write the differences of points turned and shifted onto others, where both are seen; return their number."""
     count = 0
     sums = np.zeros(4)
     for k in range(moving.shape[0]):
@@ -207,7 +207,7 @@ def _fill_ring(edges, weights, counts, num_points, ring):  # type: ignore[no-unt
 
 @compiled()
 def _lower_minima(real, others, best):  # type: ignore[no-untyped-def]
-    """Lower the running minima (2, real) of D_I and D_C to what others reach."""
+    """Lower the running minima (2, real) of D_I and D_C to those of others."""
     num_points = real.points.shape[1]
     key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
     difference = np.empty((num_points, 3))

@@ -12,11 +12,11 @@ from pasdedeux.formats.npz import get_array, is_npz, read_npz
 from pasdedeux.formats.text import Lines, parse_integer, parse_number
 
 FLOOR = "floor"
-"""What the floor is called where things are named."""
+"""Name of the floor among objects."""
 _ENDS = [f"{axis}_{end}_m" for end in ("start", "end") for axis in "xyz"]
 _COLUMNS = ("frame", "name", *_ENDS, "radius_m")
 _LARGEST_M = 100.0
-"""Coordinates and radii beyond this are in another unit."""
+"""Coordinates and radii beyond this must be in another unit."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class MovingObjects:
 
     Args:
         names: Their names.
-        ends_m: Both ends of each axis (frame, capsule, 2, 3), metres; a point where they are one.
+        ends_m: Both ends of each axis (frame, capsule, 2, 3), metres; equal for a sphere.
         radii_m: Their radii (capsule,), metres.
     """
 
@@ -43,7 +43,7 @@ class MovingObjects:
         return replace(self, ends_m=self.ends_m[frames])
 
     def closest_m(self, people_m: Array) -> Array:
-        """Return how near (capsule,), metres, each axis comes to joints of people (frame, person, joint, 3)."""
+        """Return the least distance (capsule,), metres, of each axis to joints of people (frame, person, joint, 3)."""
         joints = merge_axes(people_m, 1, -1)
         closest = []
         for start, end in self.ends_m.transpose(1, 2, 0, 3)[..., None, :]:
@@ -55,14 +55,14 @@ class MovingObjects:
 
 
 def read_objects(data: bytes) -> MovingObjects:
-    """Read the capsules of a take, in its files' axes, metres; a point is a capsule whose ends are one.
+    """Read the capsules of a take, in its files' axes, metres; a sphere is a capsule with equal ends.
 
     CSV has the columns frame, name, x_start_m, y_start_m, z_start_m, x_end_m, y_end_m, z_end_m, radius_m, a row for
     each frame and capsule, all frames from 0 on.  An npz has `names` (capsule,), `ends_m` (frame, capsule, 2, 3) and
     `radii_m` (capsule,).
 
     Raises:
-        FormatError: Something is missing, there twice, not a number or absurd; the line or array is named.
+        FormatError: Something is missing, repeated, not a number or absurd; the line or array is named.
     """
     return _of_arrays(data) if is_npz(data) else _of_table(data)
 
@@ -85,7 +85,7 @@ def _of_table(data: bytes) -> MovingObjects:
             by_object[key] = [parse_number(row[name], name) for name in (*_ENDS, "radius_m")]
     names = tuple(dict.fromkeys(name for _, name in by_object))
     frames = 1 + max((frame for frame, _ in by_object), default=-1)
-    # The first that is missing comes soon, however large a frame number is.
+    # The first missing row comes early, however large a frame number is.
     all_of_them = ((frame, name) for frame in range(frames) for name in names)
     missing_key = next((key for key in all_of_them if key not in by_object), None)
     if missing_key:

@@ -1,8 +1,8 @@
 """The space of pairs as a picture: draws among real pairs, and annotations (Yin et al. 2018, Figs. 8 and 5b).
 
-Classical scaling of the real pairs under D_I, or of images under d_I; others are placed among them by their
-dissimilarities to those (de Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points"), so more
-of them never move the map.
+Classical scaling of the real pairs under D_I, or of images under d_I; others are placed by their dissimilarities to
+these (de Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points"), so more of them never move
+the map.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class PairMap:
     """A plane map of real pairs or images that preserves the distances D_I as well as possible.
 
     Args:
-        landmarks_m: The real pairs, made ready, or images, (n, person=2, joint, 2), metres.
-        places: Where they lie, (n, 2), metres.
+        landmarks_m: The real pairs, prepared, or images, (n, person=2, joint, 2), metres.
+        places: Their places, (n, 2), metres.
         share: Share of the positive eigenvalues that the plane shows.
     """
 
@@ -47,7 +47,7 @@ class PairMap:
         if largest[1] <= 1e-12:
             raise InputError("a map needs pairs that differ in more than one way")
         axes = vectors[:, ::-1][:, :2]
-        # The sign of an eigenvector is anyone's: the largest entry is made positive.
+        # The sign of an eigenvector is arbitrary: make the largest entry positive.
         axes = axes * np.sign(axes[np.argmax(np.abs(axes), axis=0), [0, 1]])
         root = np.sqrt(largest)
         return cls(

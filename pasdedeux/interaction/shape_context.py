@@ -1,10 +1,10 @@
-"""Shape contexts of pairs: in which direction and how far every other joint lies, seen from each joint, as a histogram.
+"""Shape contexts of pairs: histograms of the directions and distances of all other joints, seen from each joint.
 
 After Belongie, Malik and Puzicha (2002), "Shape matching and object recognition using shape contexts": five shells
-whose radii double, twelve sectors, chi-squared cost; the sectors turn about the vertical of the pair's local frame
-and are cut into six bands of equal area.  Where we differ: joints have names, so each is compared with itself and
-nothing is assigned; shells are in metres, because people have a known size, and the outermost one has no end.  Yin et
-al. (2018) compare with "the matching error in 3D shape contexts" and say no more.
+whose radii double, twelve sectors, chi-squared cost; the sectors turn about the vertical of the pair's local frame and
+are cut into six bands of equal area.  We differ in this: joints have names, so each is compared with itself without an
+assignment; shells are in metres, because people have a known size, and the outermost one is unbounded.  Yin et al.
+(2018) compare with "the matching error in 3D shape contexts" and say no more.
 
 The dissimilarity is the mean cost over the joints: 0 for the same histograms, 1 for histograms that share nothing.
 """
@@ -29,11 +29,11 @@ INNER_RADIUS_M = 0.1
 NUM_PLANE_BINS = NUM_SHELLS * NUM_SECTORS
 _NUM_PAIR_BINS = NUM_PLANE_BINS * NUM_BANDS
 _ESTIMATE_SLACK = 1e-9
-"""By which sums in another order may differ; a thousand terms differ by 1e-13."""
+"""Largest difference of sums in another order; a thousand terms differ by 1e-13."""
 
 
 def plane_polar(points_m: Array) -> tuple[Bins, Array]:
-    """Return where points (*batch, n, 2), metres, see all others: first bin of the shell, and the angle in turns.
+    """Return the first bin of the shell, and the angle in turns, of all others seen from points (*batch, n, 2), metres.
 
     Both are (*batch, n, n - 1); the sector of an angle is added to the bin.
     """
@@ -59,9 +59,9 @@ def plane_shape_dissimilarity(moving_m: Array, fixed_m: Array) -> Array:
 
 
 def shared_gains(num_seen: int) -> Array:
-    """Return what one joint more in a bin takes off the cost, (num_seen + 1, num_seen + 1), see `lower_shape_minima`.
+    """Return the gain of one more joint in a bin, (num_seen + 1, num_seen + 1), see `lower_shape_minima`.
 
-    By how many were in the bin before, and how many of the other shape's are; counts of `num_seen` joints.
+    Indices are the numbers of joints that were in the bin before, and of the other shape's, out of `num_seen`.
     """
     a, b = np.meshgrid(np.arange(num_seen + 2), np.arange(num_seen + 1), indexing="ij")
     return np.diff(2.0 * a * b / np.maximum(a + b, 1) / num_seen, axis=0)
@@ -126,17 +126,16 @@ class ShapeCoverage:
 
 @compiled()
 def lower_shape_minima(counts, bins, gains, sums, best):  # type: ignore[no-untyped-def]
-    """Lower the running minima of D_S of each real pair to what others reach.
+    """Lower the running minima of D_S of each real pair to those of others.
 
-    With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count.
-    Few of the others come near: whether one does is estimated first, each bin taken once, and joint by joint until it
-    is known that it does not.
+    With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count. Few
+    of the others come near. This is first estimated, each bin taken once, joint by joint until one is known not to.
 
     Args:
         counts: Joints in each bin, (real, joint, bin), uint8.
         bins: Bins of the others, (other, joint, joint - 1), uint16.
-        gains: What one joint more in a bin takes off the cost, see `shared_gains`.
-        sums: What the first joints in a bin take off together, (joint, joint).
+        gains: Reduction of the cost by one more joint in a bin, see `shared_gains`.
+        sums: Reduction of the cost by the first joints in a bin together, (joint, joint).
         best: Running minima (real,); changed in place.
     """
     num_others, num_joints, num_seen = bins.shape

@@ -16,7 +16,7 @@ from pasdedeux.skeletons import Skeleton
 Indices = npt.NDArray[np.int64]
 
 _BESIDE_M = 0.005
-"""Where a next bone is closer by this, a pair of bones weighs 1/e."""
+"""If a next bone is closer by this, the weight of a pair of bones is 1/e."""
 _AT_END = 0.2
 """Within this share of a bone from its end, a pair that is closest there gives way to the next bone."""
 
@@ -38,7 +38,7 @@ def fade(value: Array, full: float, none: float) -> Array:
 
 @dataclass(frozen=True)
 class Gaps:
-    """How far the surfaces of two people are apart, bone by bone; a bone is named by its child joint.
+    """Distances of the surfaces of two people, bone by bone; a bone is named by its child joint.
 
     Args:
         gap_m: (*batch, bone of A, bone of B), metres; negative where they pass through each other.
@@ -95,7 +95,7 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
             first, other = pairs[row, 0], pairs[row, 1]
             a, b = row_of(points[at], parents[first]), row_of(points[at], parents[other])
             u, v, g = subtract(row_of(points[at], first), a), subtract(row_of(points[at], other), b), subtract(a, b)
-            # Parallel bones: half way is as good as any, and does not jump.
+            # Parallel bones: the middle is as good as any place, and does not jump.
             s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, g), dot(v, g), 0.5)
             apart = (g[0] + s * u[0] - t * v[0], g[1] + s * u[1] - t * v[1], g[2] + s * u[2] - t * v[2])
             share[at, row, 0], share[at, row, 1] = s, t
@@ -104,9 +104,9 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
 
 
 def standing_out(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> Array:
-    """Return how distinct the contact of two bones is from that of neighbouring bones (T, pair), from 0 to 1.
+    """Return the degree to which two bones touch and not neighbouring ones (T, pair), from 0 to 1.
 
-    If they are closest at a joint, and the next bone from there is closer still, the contact is of that bone.
+    If they are closest at a joint, and the next bone from there is closer still, that bone has the contact.
 
     Args:
         bones: Child joints of two bones (pair, 2), joints of all people numbered through.

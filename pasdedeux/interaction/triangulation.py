@@ -144,7 +144,7 @@ def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no
                     else:
                         stamp[other] = 2 * p + 1
                 if stamp[other] == 2 * p + 1:
-                    # the vertices now, as triangles of the cavity are overwritten below
+                    # read the vertices now, because triangles of the cavity are overwritten below
                     border_edge[num_border] = triangles[t, (i + 1) % 3] * (infinity + 1) + triangles[t, (i + 2) % 3]
                     outer_of[num_border] = other
                     num_border += 1

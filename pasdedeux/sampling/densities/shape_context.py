@@ -72,7 +72,7 @@ def lower_shape(  # type: ignore[no-untyped-def]
         lanes: Centred candidates (m, n, 2, most), metres.
         squares: Sums of their squares, (m, most), square metres.
         histograms: Joints in each bin of the annotations, (annotation, n, bin), uint8.
-        gains: What one joint more in a bin takes off the cost, (n, n): see `shared_gains`.
+        gains: Reduction of the cost by one more joint in a bin, (n, n): see `shared_gains`.
         num_ranked: Candidates of a view that are compared, those with the least rigid residual.
         limit: Cost above which nothing matters unless a smaller one is found.
         margin: How far behind the best view another still matters.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
 # One thread for linear algebra, as workers have it; its libraries read this when numpy is first imported, by the tests.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+# Each of the many processes that the tests start would compile all modules anew where the shell asks for no bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # No example has a deadline: the first one of a kernel compiles it.  The same code draws the same examples everywhere;
 # `pytest --hypothesis-profile search` draws others every time; planted faults need no simplest example.
@@ -27,11 +32,12 @@ settings.register_profile("pasdedeux", deadline=None, derandomize=True)
 settings.load_profile("pasdedeux")
 
 
-def pytest_configure() -> None:
-    """Listen to SIGINT even where the shell that started the tests in the background had it ignored.
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the order of the tests, and listen to SIGINT even where the shell that started the tests had it ignored.
 
     The programs that the tests start would inherit that, and the tests of Ctrl-C would wait for ever.
     """
+    config.option.loadscopereorder = False  # by xdist, which puts files of many tests first
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -40,13 +46,18 @@ def pytest_configure() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark with `data` every test that is given the folder of real motion data, and say which tests one process runs.
 
-    Those of a file share what it builds, and all that read the small study share its one build.
+    Those of a file share what it builds, and all that read the small study share its one build.  Groups with the most
+    slow tests come first: at the end, no process has much to do while the others have nothing.
     """
+    groups: dict[pytest.Item, str] = {}
     for item in items:
         fixtures = getattr(item, "fixturenames", ())
         if "data_dir" in fixtures:
             item.add_marker(pytest.mark.data)
-        item.add_marker(pytest.mark.xdist_group("small" if "small" in fixtures else item.nodeid.partition("::")[0]))
+        groups[item] = "small" if "small" in fixtures else item.nodeid.partition("::")[0]
+        item.add_marker(pytest.mark.xdist_group(groups[item]))
+    num_slow = Counter(group for item, group in groups.items() if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -num_slow[groups[item]])
 
 
 @pytest.fixture

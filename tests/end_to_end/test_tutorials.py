@@ -1,4 +1,7 @@
-"""The commands of a tutorial run as they are printed, one after another, in an empty folder; so do the examples."""
+"""The commands of a tutorial run as they are printed, one after another, in an empty folder; so do the examples.
+
+They build in this process: that workers make the same of a study is shown elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -42,10 +45,9 @@ def follow(page: str) -> int:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, prefect_home: Path) -> Path:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_this_process: None) -> Path:
     """Return an empty folder in which commands run."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PREFECT_HOME", str(prefect_home))
     return tmp_path
 
 

@@ -15,15 +15,15 @@ from tests.builders.real_study import BuiltStudy, RealRun, committed, digests, w
 
 pytestmark = pytest.mark.slow
 
-MOMENTS = (3, 13, 26)
-"""Artifacts that are there when the run is killed: in ingest, in chains, in evaluation."""
+MOMENTS = (13, 26)
+"""Artifacts that are there when the run is killed: in chains, in evaluation."""
 
 
 def start(small: BuiltStudy, store: Path, prefect_home: Path) -> RealRun:
     return RealRun("run", small.study, "--store", store, "--workers", "2", "--oversubscribe", prefect_home=prefect_home)
 
 
-def test_a_run_that_is_killed_again_and_again_loses_only_the_shards_in_work(
+def test_a_run_that_is_killed_twice_loses_only_the_shards_in_work(
     small: BuiltStudy, tmp_path: Path, prefect_home: Path
 ) -> None:
     store = tmp_path / "store"

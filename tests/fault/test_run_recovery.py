@@ -99,7 +99,7 @@ def test_what_ends_a_run_from_outside_ends_everything_and_the_next_run_goes_on(
     gate = hold(tmp_path, "bend-t0-s1")
     if signal.getsignal(number) is signal.SIG_IGN:  # tests that run under `nohup` ignore SIGHUP, and so would the run
         signal.signal(number, signal.SIG_DFL)
-    first = start()
+    first = start("--workers", "1")
     first.wait_for("bend-t0-s1")
     left = descendants(first)
     (os.killpg if is_for_all else os.kill)(first.process.pid, number)
@@ -259,15 +259,14 @@ def in_mid_shard_elsewhere(
             yield outside, run
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
 def test_shards_and_stages_that_need_nothing_of_what_failed_are_finished(
-    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]], workers: str
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
 ) -> None:
     (tmp_path / "gates").mkdir()
     faults = [tmp_path / "gates" / f"fail-grow-{name}" for name in ("t0-s1", "t1-s2")]
     for fault in faults:
         fault.touch()
-    first = start("--workers", workers)
+    first = start()
     code, _, err = first.finish()
     assert code == 1
     last = err.strip().splitlines()[-1]

@@ -41,7 +41,10 @@ def test_letters_name_one_person_each_also_in_a_crowd() -> None:
 def test_no_other_module_makes_names_of_people_from_letters() -> None:
     for package in ("pasdedeux", "storage_schema", "tasks", "flows"):
         for path in sorted((ROOT / package).rglob("*.py")):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            if "ABCD" not in text and "ascii_uppercase" not in text:
+                continue
+            tree = ast.parse(text)
             used = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
             used |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
             letters = any(

@@ -133,7 +133,7 @@ def test_windows_have_the_least_energy_of_a_plain_fit_behind_poses_that_stay(
 def test_steps_of_a_window_are_those_of_the_fit_of_whole_tracks(rng: np.random.Generator, frames: int) -> None:
     truth, candidates, _ = seen_walk(rng, frames)
     image, weights = truth[..., :2] + rng.normal(0, 0.03, (frames, 14, 2)), rng.uniform(0.2, 1.0, (frames, 14))
-    bones, start = bone_vectors(candidates[:, 0]), candidates[:, 1]
+    bones, start = bone_vectors(candidates[:, 0]), candidates[:, 1].copy()
     noise, firmness, smoothness = (
         np.full(14, 0.03),
         rng.uniform(10.0, 100.0, frames),
@@ -146,10 +146,10 @@ def test_steps_of_a_window_are_those_of_the_fit_of_whole_tracks(rng: np.random.G
         BoneVectorTerm(OP14, bones, firmness[:, None, None]),
     ]
     is_kept, held = np.zeros(frames, dtype=bool), np.zeros((0, 14, 3))
-    for steps in (1, 3):
+    for steps in (1, 3):  # arrays as `WindowFit` gives them: of others, the kernel would be compiled once more
         whole = fit_bones(forest, forest.state_of(start), terms, FitSettings(steps, 0.0)).positions_m
         guess = (held, start, image, far, weights, noise, is_kept, bones, firmness, smoothness)
-        found = fit_window(*guess, REFERENCE_LENGTHS_M, steps, 0.0)
+        found = fit_window(*guess, REFERENCE_LENGTHS_M.copy(), steps, 0.0)
         assert np.abs(found - start).max() > 0.05
         np.testing.assert_allclose(found, whole, atol=1e-8)
 

@@ -23,8 +23,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.benchmark import BenchmarkResult, Rate, measure
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.published import Clusters, PublishedIndex, box_images, cluster_places, place_projections
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.projections.search import Neighbours, build_index, prepare_query

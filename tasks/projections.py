@@ -12,8 +12,7 @@ from pasdedeux.arrays import merge_axes
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.published import Clusters, cluster_projections
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, retarget_proportions

@@ -23,7 +23,7 @@ from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.plain_text import counted
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.body import body_from_joints, motions_together
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton

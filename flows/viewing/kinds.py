@@ -20,8 +20,7 @@ from pasdedeux.evaluation.shown_figures import plain
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.people.names import person_name
 from pasdedeux.plain_text import counted
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton

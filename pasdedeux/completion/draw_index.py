@@ -13,15 +13,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.cameras.orthographic import view_rotmat
 from pasdedeux.completion.kernels import LANES, fill_residuals, refill_residuals
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
-
-Indices = npt.NDArray[np.int64]
 
 MIN_SEEN = 4
 """Joints of both people together that must be seen for a comparison to mean anything."""
@@ -45,8 +43,8 @@ class NearestDraws:
         distance_m: Root mean square distance over the joints seen, after the best turn in the plane, (k,), metres.
     """
 
-    draw: Indices
-    view: Indices
+    draw: Integers
+    view: Integers
     distance_m: Array
 
 
@@ -117,7 +115,7 @@ class DrawIndex:
             distance_m=np.sqrt(best[order] / len(joints)),
         )
 
-    def placed(self, draws: Indices, directions: Array, image_m: Array) -> Array:
+    def placed(self, draws: Integers, directions: Array, image_m: Array) -> Array:
         """Return draws as a camera with the image saw them, (n, person=2, joint=17, 3), metres.
 
         Args:
@@ -140,7 +138,7 @@ class DrawIndex:
     def _mean(self) -> tuple[Array, Array]:
         return self._rows.mean(axis=0, dtype=np.float64), self._tilts(np.arange(self.num_draws)).mean(axis=0)
 
-    def _tilts(self, draws: Indices) -> Array:
+    def _tilts(self, draws: Integers) -> Array:
         return self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
 
     def _seen_as(self, points: Array, tilt: Array, directions: Array, image_m: Array) -> Array:
@@ -162,7 +160,7 @@ class DrawIndex:
         out[:, _ORDER, 2] = points[..., 2]
         return out.reshape(len(points), 2, PAIR17.num_joints, 3)
 
-    def _seen(self, image_m: Array) -> tuple[Indices, Array]:
+    def _seen(self, image_m: Array) -> tuple[Integers, Array]:
         """Return the joints seen, by their place in the index, and their centred image points."""
         points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER]
         joints = np.flatnonzero(np.isfinite(points).all(axis=1))
@@ -172,7 +170,7 @@ class DrawIndex:
         return joints, image - image.mean(axis=0)
 
     def _measured(
-        self, draws: Indices, views: Array, image: Array, joints: Indices, *, ceiling_m2: float = np.inf
+        self, draws: Integers, views: Array, image: Array, joints: Integers, *, ceiling_m2: float = np.inf
     ) -> Array:
         """Return squared distances (draw, view) in double precision; inf where a draw is surely beyond a ceiling."""
         tilt = self._tilts(draws)

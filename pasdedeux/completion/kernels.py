@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Floats32, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 
 LANES = 256
 """Draws that lie side by side in memory; arithmetic runs over them."""
-Lanes = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
 
 
 @compiled(fastmath=True)
-def fill_residuals(points: Lanes, tilt: Lanes, direction: Lanes, image: Lanes, joints: Indices, out: Lanes) -> None:
+def fill_residuals(
+    points: Floats32, tilt: Floats32, direction: Floats32, image: Floats32, joints: Integers, out: Floats32
+) -> None:
     """Write the squared distance of every draw, seen from one view and turned best in the plane, from an image.
 
     Args:
@@ -75,7 +74,7 @@ def fill_residuals(points: Lanes, tilt: Lanes, direction: Lanes, image: Lanes, j
 
 @compiled()
 def refill_residuals(
-    points: Lanes, directions: Array, which: Indices, image: Array, joints: Indices, ceiling: float, out: Array
+    points: Floats32, directions: Array, which: Integers, image: Array, joints: Integers, ceiling: float, out: Array
 ) -> None:
     """Write the same squared distances in double precision for some draws, each under a view of its own.
 
@@ -123,7 +122,7 @@ def refill_residuals(
 
 
 @compiled()
-def fill_rigid_residuals(pairs: Lanes, joints: Indices, fixed: Array, out: Array) -> None:
+def fill_rigid_residuals(pairs: Floats32, joints: Integers, fixed: Array, out: Array) -> None:
     """Write the squared distance of every draw from a 3D pair over some joints, after the best proper rigid motion.
 
     Args:

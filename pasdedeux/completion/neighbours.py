@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, merge_axes
+from pasdedeux.arrays import Array, Integers, merge_axes
 from pasdedeux.completion.kernels import fill_rigid_residuals
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.kinematics import align_rigid
 
-Indices = npt.NDArray[np.int64]
 Draws = npt.NDArray[np.floating]
 
 MIN_KNOWN = 5
@@ -31,7 +30,7 @@ class NearbyDraws:
     """
 
     pairs_m: Array
-    draw: Indices
+    draw: Integers
     distance_m: Array
 
 

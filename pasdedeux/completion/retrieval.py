@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from pasdedeux.arrays import Array, merge_axes
+from pasdedeux.arrays import Array, Integers, merge_axes
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, NearestDraws
 from pasdedeux.interaction.dissimilarity import plane_residual
@@ -25,8 +24,6 @@ _NEIGHBOUR_DEVIATION_M = 0.03
 """Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws."""
 _NUM_RANKED_DRAWS, _NUM_RANKED_IMAGES = 12, 20
 """Draws and images nearest by place that are ranked anew in d_I."""
-
-Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,7 @@ class Retrieval:
 
 
 def retrieve(
-    index: DrawIndex, image_m: Array, directions: Array, *, without: Sequence[int] | Indices = ()
+    index: DrawIndex, image_m: Array, directions: Array, *, without: Sequence[int] | Integers = ()
 ) -> Retrieval:
     """Return the draws nearest to an image, moved to where it saw them.
 
@@ -93,7 +90,7 @@ def nearest_by_image(index: DrawIndex, image_m: Array, directions: Array, *, cou
     return placed[order], distance[order]
 
 
-def nearest_images(pair_m: Array, images_m: Array, directions: Array, *, count: int) -> tuple[Indices, Array]:
+def nearest_images(pair_m: Array, images_m: Array, directions: Array, *, count: int) -> tuple[Integers, Array]:
     """Return the images that look most like a pair, each seen from where it was taken, by d_I.
 
     Args:

@@ -6,13 +6,14 @@ The angles are those of `joint_limits`.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.kinematics.rotation_kernels import (
+    Vector,
     carry,
     cross,
     dot,
@@ -25,8 +26,6 @@ from pasdedeux.kinematics.rotation_kernels import (
 )
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
-
-Vector = Any  # (x, y, z); numba infers the tuple type
 
 (
     PELVIS, SPINE, CHEST, NECK, HEAD,

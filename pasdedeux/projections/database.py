@@ -3,17 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array, Flags, Floats32, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import OP14
 
-Floats32 = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
+
+@dataclass(frozen=True)
+class DatabaseCamera:
+    """A camera on the +Z side of the body that looks at its mid-hip; rays are parallel; image x right, y up, metres.
+
+    Args:
+        pitch_rad: Angle above the horizontal that it looks from.
+    """
+
+    pitch_rad: float = 0.0
+
+    @property
+    def camera_from_upright_rotmat(self) -> Array:
+        """Rotation (3, 3) from upright axes before the camera to the camera's own (x right, y up, z towards it).
+
+        A camera that looks down sees the top of the head come nearer.
+        """
+        cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+        return np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
+
+    def project(self, poses_m: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Project poses (*batch, joint, 3) about the mid-hip to (*batch, joint, 2) about its image."""
+        x, up, towards = np.moveaxis(poses_m, -1, 0)
+        if self.pitch_rad != 0.0:
+            cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+            up = cosine * up - sine * towards
+        return np.stack([x, up], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -37,7 +63,7 @@ class Database:
     """
 
     poses_m: Floats32
-    is_sequence_start: npt.NDArray[np.bool_]
+    is_sequence_start: Flags
     num_yaws: int = 30
     rate_hz: float = 24.0
     camera: DatabaseCamera = field(default_factory=DatabaseCamera)
@@ -81,7 +107,7 @@ class Database:
         """Angle between two yaw steps."""
         return 2.0 * np.pi / self.num_yaws
 
-    def turned(self, rows: npt.ArrayLike, yaw_index: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def turned(self, rows: npt.ArrayLike, yaw_index: npt.ArrayLike) -> Array:
         """Return the poses (*batch, 14, 3) of these rows at these yaws, in camera axes for a level camera.
 
         Yaws count in steps and may lie between them.
@@ -121,7 +147,7 @@ class Database:
 
 
 @compiled()
-def _turned(poses: Floats32, rows: Integers, yaw_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _turned(poses: Floats32, rows: Integers, yaw_rad: Array) -> Array:
     """Return poses of some rows (k, joint, 3), each turned by its yaw (k,)."""
     out = np.empty((rows.shape[0], poses.shape[1], 3))
     for at in range(rows.shape[0]):

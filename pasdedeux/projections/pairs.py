@@ -12,18 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Flags
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.retarget import body_heading, mid_hip, retarget_proportions
 from pasdedeux.projections.search import Neighbours, ProjectionIndex
 from pasdedeux.skeletons import OP14
 
 _PEOPLE = 2
 _JOINTS = _PEOPLE * OP14.num_joints
-Floats32 = npt.NDArray[np.float32]
 
 
 def centre_pairs(pairs_m: Array) -> Array:
@@ -66,7 +64,7 @@ class PairNeighbours:
     """
 
     neighbours: Neighbours
-    is_exchanged: npt.NDArray[np.bool_]
+    is_exchanged: Flags
 
 
 def search_pairs(

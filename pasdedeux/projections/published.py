@@ -18,14 +18,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Floats32, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_STATURE_M
 from pasdedeux.projections.search import Neighbours, prepare_query
-
-Floats32 = npt.NDArray[np.float32]
 
 BOX_HEIGHT_M = REFERENCE_STATURE_M
 """Height of every image's bounding box; the paper does not say which."""

@@ -15,13 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Array, Floats32, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.tree import SearchTree, build_tree, search_tree
 from pasdedeux.skeletons import OP14
-
-Floats32 = npt.NDArray[np.float32]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Neighbours:
     """
 
     projection: Integers
-    distance_m: npt.NDArray[np.float64]
+    distance_m: Array
     num_yaws: int
 
     @property

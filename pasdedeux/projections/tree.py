@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.arrays import Floats32, Integers
 from pasdedeux.compiled import compiled, inner_kernel
 
 _LANES = 16
@@ -29,9 +30,7 @@ _LANES = 16
 _ROUNDING = np.float32(1.0 - 1e-5)
 """Factor on the bound: 28 float32 operations of relative error 6e-8 each stay below 1e-5."""
 
-Floats32 = npt.NDArray[np.float32]
 Integers32 = npt.NDArray[np.int32]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotation_kernels import Vector, divide, dot, length, mix, put_row, row_of, subtract
 from pasdedeux.plausibility.capsules import capsule_model
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import retarget_proportions
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.skeletons import OP14
@@ -284,7 +284,7 @@ def clean_reconstructions(
         origin_m: Origin of the sequence's frame, see `floor_offset`; its height is the floor (3,), camera axes.
         camera: The database's camera, whose pitch says where up is.
     """
-    upright = np.asarray(camera.camera_from_upright_rotmat)
+    upright = camera.camera_from_upright_rotmat
     tracks = [person.track for person in people]
     frames = np.arange(min(track.first_frame for track in tracks), 1 + max(track.frames[-1] for track in tracks))
     at = [np.clip(frames, track.frames[0], track.frames[-1]) - track.first_frame for track in tracks]

@@ -12,8 +12,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips, motions_together, soles_m
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
@@ -308,7 +307,7 @@ def _embodied(
     name: str, people: tuple[ReconstructedTrack, ...], origin_m: Array, database: Database, camera: DatabaseCamera
 ) -> MethodMotions:
     """Give the people of a method their whole bodies."""
-    upright = np.asarray(camera.camera_from_upright_rotmat)
+    upright = camera.camera_from_upright_rotmat
     bodies = []
     for person in people:
         window = 1 if name == Method.NEAREST else odd_window(SMOOTHING_S, person.track.rate_hz)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.lying import is_on_floor, searchers_for, stands
 from pasdedeux.reconstruction.matching import Method, ReconstructionOptions, Searcher, match_track
@@ -145,7 +145,7 @@ def floor_offset(tracks: Sequence[ReconstructedTrack], camera: DatabaseCamera) -
 
     The lowest ankle of all people is taken to stand on the floor; heights are along the upright axis, camera axes.
     """
-    upright = np.asarray(camera.camera_from_upright_rotmat)
+    upright = camera.camera_from_upright_rotmat
     people = [track.positions_m @ upright for track in tracks]  # camera axes to upright axes: the transpose
     floor = min(float(np.min(positions[:, _ANKLES, 1])) for positions in people)
     start = np.mean([mid_hip(positions[0]) for positions in people], axis=0)
@@ -222,7 +222,7 @@ def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
     except InputError:
         return None
     nearest = reconstruct_track(searcher, track, Method.NEAREST, matches=matches)
-    upright = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
+    upright = searcher.database.camera.camera_from_upright_rotmat
     is_seen = (track.confidence[:, _ANKLES] > 0) & ~nearest.is_bridged[:, None]
     heights = []
     for factor in (1.0,) if track.lens.is_known else _LENS_FACTORS:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.skeletons import OP14
 
@@ -34,7 +34,7 @@ def size_by_height(track: ReconstructedTrack, camera: DatabaseCamera, camera_hei
     below it, on which ankles stand, so a camera of known height and pitch gives the size.  NaN if the feet are not
     below the camera.
     """
-    upright = track.positions_m @ np.asarray(camera.camera_from_upright_rotmat)
+    upright = track.positions_m @ camera.camera_from_upright_rotmat
     lowest = upright[~track.is_bridged][:, _ANKLES, 1].min(axis=1)
     if not len(lowest):
         return float("nan")

@@ -11,17 +11,13 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, Floats32, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotations import angle_between, multiply
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
-
-Integers = npt.NDArray[np.int64]
-Floats32 = npt.NDArray[np.float32]
-
 
 POSE_WEIGHT = 0.5
 """Cost per metre of mean joint distance between where a candidate's motion goes next and the next candidate, both

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Floats32, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours, prepare_query
@@ -63,7 +63,7 @@ def refine_yaws(
 
 
 @compiled()
-def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array, total: float, rays: Array) -> float:
+def _cost(yaw: float, pose: Floats32, query: Array, weight: Array, total: float, rays: Array) -> float:
     """Return the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     summed = 0.0
@@ -82,7 +82,7 @@ def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array
 def _refine(
     query: Array,
     weight: Array,
-    poses: npt.NDArray[np.float32],
+    poses: Floats32,
     row: Integers,
     step: float,
     rays: Array,

@@ -17,7 +17,7 @@ from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable, format_value
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.errors import (

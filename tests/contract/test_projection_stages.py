@@ -11,7 +11,7 @@ from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index

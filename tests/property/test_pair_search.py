@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from benchmarks.projections import search_brute_force
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.pairs import centre_pairs, pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index

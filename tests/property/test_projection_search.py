@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks.projections import search_brute_force
 from pasdedeux.errors import InputError
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from tests.builders.walkers import random_poses, walk

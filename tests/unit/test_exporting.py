@@ -18,7 +18,7 @@ from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import angle_between
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.reconstruction.body import EmbodiedMotion, body_through, hold_hips, pose_body
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES

@@ -10,8 +10,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_directions, bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.retarget import (
     REFERENCE_LENGTHS_M,
     body_heading,

@@ -14,8 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.people.video import rate_from_times
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
 from pasdedeux.projections.scale import running_median
 from pasdedeux.reconstruction import pitch

@@ -9,8 +9,7 @@ import pytest
 
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.people.decisions import Decision, decide
-from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.database import Database, DatabaseCamera
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction import people
 from pasdedeux.reconstruction.errors import root_centred_error_m

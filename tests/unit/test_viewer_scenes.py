@@ -16,7 +16,7 @@ from flows.viewing.seen import LIMBS22, size_of
 from flows.viewing.shelf import Shelf
 from flows.viewing.viewer import Viewer
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import Manifest, Store

@@ -62,7 +62,7 @@ class LivePeople:
     @property
     def camera_from_upright_rotmat(self) -> Array:
         """How the camera is pitched (3, 3)."""
-        return np.asarray(self._searcher.database.camera.camera_from_upright_rotmat)
+        return self._searcher.database.camera.camera_from_upright_rotmat
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take the detections of a frame (detection, 14, 2), any order; return the poses that are due, by person."""

@@ -215,7 +215,7 @@ class _Chain:
         self._stride = 1
         self._num_seen = 0
         self._hip_widths: list[float] = []
-        self._camera_rotmat: Array = np.asarray(self._searcher.database.camera.camera_from_upright_rotmat)
+        self._camera_rotmat: Array = self._searcher.database.camera.camera_from_upright_rotmat
         self._rotations, self._root, self._bends = (
             OneEuroFilter(settings, rate_hz) for settings in (_OF_BONES, _OF_ROOT, _OF_BENDS)
         )

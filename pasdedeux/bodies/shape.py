@@ -83,13 +83,13 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
     """
     names = skeleton.joint_names
     axes = _axes(rest_m, {name: joint for joint, name in enumerate(names)})
-    made = _Made([], [], [], [])
+    made: list[tuple[Array, Array, int, frozenset[int]]] = []  # ends, radii, joint, joints in which it meets others
     for parent, child in skeleton.bones:
         radius, meets = float(radii_m[child]), frozenset((parent, child))
         if radius > 0:
             taper = np.array(_TAPERS.get(names[child].rpartition("_")[2], (1.0, 1.0)))
             radii = radius + np.clip(radius * (taper - 1.0), -_THINNER_M, _THICKER_M)
-            made.add(rest_m[[parent, child]], radii, parent, meets)
+            made.append((rest_m[[parent, child]], radii, parent, meets))
         if axes is None:
             continue
         if names[parent] in _FLANKS and names[child] in _FLANKS:
@@ -97,38 +97,17 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
             width = float(radii_m[[parent, child]].max())
             for side in (-1.0, 1.0):
                 beside = rest_m[[parent, child]] + side * width * shape[:, :1] * axes[0]
-                made.add(beside, width * shape[:, 1], parent, meets)
+                made.append((beside, width * shape[:, 1], parent, meets))
         joint, frame, parts = _outside(rest_m, parent, child, names[child], axes)
         length = float(np.linalg.norm(rest_m[child] - rest_m[parent]))
         for ends in length * np.array(parts):
-            made.add(rest_m[joint] + ends[:, :3] @ frame, ends[:, 3], joint, frozenset((joint,)))
-    return made.cones()
-
-
-@dataclass
-class _Made:
-    """Cones one after another: ends, radii, the joint that each moves with, the joints in which it meets others."""
-
-    ends_m: list[Array]
-    radii_m: list[Array]
-    joints: list[int]
-    meets: list[frozenset[int]]
-
-    def add(self, ends_m: Array, radii_m: Array, joint: int, meets: frozenset[int]) -> None:
-        """Add a cone with ends (2, 3) and radii (2,)."""
-        self.ends_m.append(ends_m)
-        self.radii_m.append(radii_m)
-        self.joints.append(joint)
-        self.meets.append(meets)
-
-    def cones(self) -> Cones:
-        """Return all of them."""
-        return Cones(
-            np.array(self.ends_m).reshape(-1, 2, 3),
-            np.array(self.radii_m).reshape(-1, 2),
-            np.array(self.joints, dtype=np.int64),
-            _beside(tuple(self.meets)).copy(),
-        )
+            made.append((rest_m[joint] + ends[:, :3] @ frame, ends[:, 3], joint, frozenset((joint,))))
+    return Cones(
+        np.array([ends for ends, *_ in made]).reshape(-1, 2, 3),
+        np.array([radii for _, radii, *_ in made]).reshape(-1, 2),
+        np.array([joint for *_, joint, _ in made], dtype=np.int64),
+        _beside(tuple(meets for *_, meets in made)).copy(),
+    )
 
 
 @lru_cache(maxsize=8)

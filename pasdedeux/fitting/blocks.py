@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pasdedeux.arrays import Array
@@ -13,23 +11,13 @@ class NotPositiveDefinite(ArithmeticError):  # noqa: N818 - says what the matrix
     """The matrix is not positive definite."""
 
 
-@dataclass
-class BlockMatrix:
-    """Lower half of a symmetric block matrix: diagonal blocks and those one and two frames below.
+def solve_blocks(diagonal: Array, below: Array, rhs: Array) -> Array:
+    """Solve a symmetric system by its lower half; 6 n^3 operations a frame, all of them in matrix products.
 
     Args:
-        diagonal: (T, n, n).
+        diagonal: Blocks of each frame (T, n, n); the factor takes their place.
         below: Rows of frames t+1 and t+2 in the columns of frame t (T, 2, n, n); those past the end are ignored.
-    """
-
-    diagonal: Array
-    below: Array
-
-
-def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
-    """Solve for a right-hand side (T, n); 6 n^3 operations a frame, all of them in matrix products.
-
-    The factor takes the place of the diagonal blocks.
+        rhs: Right-hand side (T, n).
 
     Raises:
         NotPositiveDefinite: No Cholesky factor exists.
@@ -38,21 +26,20 @@ def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
     from scipy.linalg.lapack import dpotrf
 
     frames, n = rhs.shape
-    lower = matrix.diagonal
     panels = np.zeros((frames, 2 * n, n))
     pending = np.zeros((2 * n, 2 * n))
     solution = np.array(rhs)
     carry = np.zeros(2 * n)
     for t in range(frames):
-        factor, info = dpotrf((matrix.diagonal[t] - pending[:n, :n]).T, lower=1, overwrite_a=1)
+        factor, info = dpotrf((diagonal[t] - pending[:n, :n]).T, lower=1, overwrite_a=1)
         if info != 0:
             raise NotPositiveDefinite(f"frame {t}: pivot {info} is not positive")
         solved = dtrsm(1.0, factor, (solution[t] - carry[:n])[:, None], side=0, lower=1)[:, 0]
         solution[t] = solved
-        lower[t] = factor
+        diagonal[t] = factor
         if t + 1 == frames:
             break  # nothing comes after
-        panel = matrix.below[t].reshape(2 * n, n).copy()
+        panel = below[t].reshape(2 * n, n).copy()
         panel[:n] -= pending[n:, :n]
         panel = dtrsm(1.0, factor, panel.T, side=0, lower=1, overwrite_b=1).T
         update = panel @ panel.T
@@ -65,5 +52,5 @@ def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
     padded = np.zeros((frames + 2, n))
     for t in range(frames - 1, -1, -1):
         known = solution[t] - panels[t].T @ padded[t + 1 : t + 3].reshape(-1)
-        padded[t] = dtrsm(1.0, lower[t].T, known[:, None], side=0, lower=0)[:, 0]
+        padded[t] = dtrsm(1.0, diagonal[t].T, known[:, None], side=0, lower=0)[:, 0]
     return padded[:frames]

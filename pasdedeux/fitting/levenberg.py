@@ -15,7 +15,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
+from pasdedeux.fitting.blocks import NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest, BoneState
 from pasdedeux.fitting.terms import AXES, Normal, Term, total_energy
 
@@ -94,11 +94,11 @@ def fit_bones(
                 if not term.is_quadratic:
                     term.add_curvature(positions, normal)
             tangents = forest.tangents(state)
-            matrix, gradient = _reduce(forest, state, tangents, carried, normal)
+            diagonal, below, gradient = _reduce(forest, state, tangents, carried, normal)
             is_fresh = True
         iteration += 1
         try:
-            step = -solve_blocks(_damped(matrix, damping), gradient)
+            step = -solve_blocks(_damped(diagonal, damping), below, gradient)
             moved = forest.retract(state, tangents, step)
             moved_positions = forest.positions(moved)
             moved_energy = total_energy(terms, moved_positions)
@@ -120,12 +120,12 @@ def fit_bones(
     )
 
 
-def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
-    blocks = np.array(matrix.diagonal)
+def _damped(diagonal: Array, damping: float) -> Array:
+    blocks = np.array(diagonal)
     entries = np.einsum("tii->ti", blocks)  # a view
     entries *= 1.0 + damping
     entries += SMALLEST_CURVATURE
-    return BlockMatrix(diagonal=blocks, below=matrix.below)
+    return blocks
 
 
 def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
@@ -141,8 +141,8 @@ def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
 
 def _reduce(
     forest: BoneForest, state: BoneState, tangents: Array, carried: tuple[Array, Array, Array], normal: Normal
-) -> tuple[BlockMatrix, Array]:
-    """Return the normal equations in the unknowns of the step."""
+) -> tuple[Array, Array, Array]:
+    """Return the normal equations in the unknowns of the step: blocks as `solve_blocks` takes them, and gradient."""
     frames, points = state.directions.shape[:2]
     shape, n = forest.topology, forest.num_unknowns
     carries, starts = shape.carries, shape.starts
@@ -163,7 +163,7 @@ def _reduce(
             _reduce_between(carried[lag], basis, shape.related, shape.further, starts, lag, below)
     for points, shares, weights, unit in normal.stencils:
         _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
-    return BlockMatrix(diagonal=diagonal, below=below), gradient
+    return diagonal, below, gradient
 
 
 @compiled()

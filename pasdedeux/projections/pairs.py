@@ -7,8 +7,6 @@ by the metric, masks, weights and trees of one person's search.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -54,22 +52,9 @@ def pair_database(pairs_m: npt.NDArray[np.floating], *, camera: DatabaseCamera, 
     return Database(poses, np.ones(len(poses), dtype=bool), num_yaws=num_yaws, camera=camera)
 
 
-@dataclass(frozen=True)
-class PairNeighbours:
-    """The best pairs of each query, best first.
-
-    Args:
-        neighbours: Projections and distances (*batch, k); distances are means over the joints seen of both people.
-        is_exchanged: Image 0 was taken for person B and image 1 for A (*batch, k).
-    """
-
-    neighbours: Neighbours
-    is_exchanged: Flags
-
-
 def search_pairs(
     index: ProjectionIndex, query_m: npt.ArrayLike, weights: npt.ArrayLike, *, num_neighbours: int = 50
-) -> PairNeighbours:
+) -> tuple[Neighbours, Flags]:
     """Return the nearest pairs, whichever of the people is A: a row may be found each way.
 
     Args:
@@ -80,7 +65,8 @@ def search_pairs(
         num_neighbours: Neighbours k wanted.
 
     Returns:
-        Neighbours (*batch, k), ties as given first, then by projection number; none where no joint was seen.
+        Neighbours (*batch, k), distances over the joints seen of both people, ties as given first, then by projection
+        number, none where no joint was seen; and whether image 0 was taken for person B, and image 1 for A.
 
     Raises:
         InputError: A query of another shape.
@@ -104,4 +90,4 @@ def search_pairs(
     best = Neighbours(
         np.take_along_axis(projection, order, axis=-1), np.take_along_axis(distance, order, axis=-1), straight.num_yaws
     )
-    return PairNeighbours(best, np.logical_and(order >= num_neighbours, best.projection >= 0))
+    return best, np.logical_and(order >= num_neighbours, best.projection >= 0)

@@ -103,12 +103,10 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
     positions = positions + shift[:, :, None]
     for person in range(positions.shape[1]):
         pose = positions[:, person]
+        facing = _facings(np.ascontiguousarray(pose))
         for side, (hip, knee, ankle) in enumerate(_LEGS):
             target = _targets(pose[:, ankle], is_planted[:, person, side], floor, rate_hz)
-            facing = _facings(np.ascontiguousarray(pose))
-            pose[:, knee], pose[:, ankle] = bend_leg(
-                pose[:, hip], pose[:, knee], pose[:, ankle], target, fallback=facing
-            )
+            pose[:, knee], pose[:, ankle] = bend_leg(pose[:, hip], pose[:, knee], pose[:, ankle], target, facing)
     batch = positions_m.shape[:-2]
     return CleanedMotion(
         positions.reshape(positions_m.shape), is_planted.reshape(*batch, 2), shift.reshape(*batch, 3), floor
@@ -134,27 +132,20 @@ def _touching(positions: Array, present: Flags) -> list[tuple[int, int, Flags]]:
     return touching
 
 
-def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fallback: Array) -> tuple[Array, Array]:
+@compiled()
+def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, fallback: Array) -> tuple[Array, Array]:
     """Return knee and ankle (frame, 3) of legs with the ankle at its target and the same lengths of thigh and shank.
 
-    The knee stays in the plane of hip, knee and ankle, on its side of the line between them.  A target that is out of
-    reach is approached along its line.  A leg that is straight bends towards `fallback` (frame, 3).
+    The knee stays in the plane of hip, knee and ankle, on its side of the line between hip and ankle.  A target out of
+    reach is approached along its line.  A straight leg bends towards `fallback` (frame, 3).
     """
     knees, ankles = np.empty(hip_m.shape), np.empty(hip_m.shape)
-    _bend_legs(hip_m, knee_m, ankle_m, target_m, fallback, knees, ankles)
-    return knees, ankles
-
-
-@compiled()
-def _bend_legs(
-    hips: Array, knees: Array, ankles: Array, targets: Array, fallback: Array, new_knees: Array, new_ankles: Array
-) -> None:
-    """Do `bend_leg`, all arguments (frame, 3)."""
-    for at in range(hips.shape[0]):
-        hip, knee, ankle, target = row_of(hips, at), row_of(knees, at), row_of(ankles, at), row_of(targets, at)
+    for at in range(hip_m.shape[0]):
+        hip, knee, ankle, target = row_of(hip_m, at), row_of(knee_m, at), row_of(ankle_m, at), row_of(target_m, at)
         knee, ankle = bend_one_leg(hip, knee, ankle, target, row_of(fallback, at))
-        put_row(new_knees, at, knee)
-        put_row(new_ankles, at, ankle)
+        put_row(knees, at, knee)
+        put_row(ankles, at, ankle)
+    return knees, ankles
 
 
 @inner_kernel()

@@ -117,11 +117,11 @@ def _depths_of_images(pairs: Database, index: ProjectionIndex, query_m: Array, w
     Returns:
         Depth and standard deviation (frame,), metres; the latter is inf where nothing was found.
     """
-    matches = search_pairs(index, query_m, weights, num_neighbours=_NUM_CANDIDATES)
-    row, distance = matches.neighbours.row, matches.neighbours.distance_m
-    turned = pairs.turned(np.maximum(row, 0), matches.neighbours.yaw_index)
+    matches, is_exchanged = search_pairs(index, query_m, weights, num_neighbours=_NUM_CANDIDATES)
+    row, distance = matches.row, matches.distance_m
+    turned = pairs.turned(np.maximum(row, 0), matches.yaw_index)
     hips = mid_hip(turned.reshape(*row.shape, 2, OP14.num_joints, 3)) @ pairs.camera.camera_from_upright_rotmat.T
-    depth = np.where(matches.is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
+    depth = np.where(is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
     is_found = np.isfinite(distance[:, 0])
     distance = np.where(is_found[:, None], distance, 0.0)
     share = np.where(row >= 0, np.exp(-(distance - distance[:, :1]) / _MISFIT_M), 0.0)

@@ -44,8 +44,7 @@ from pasdedeux.reconstruction.terms.pairs import PairTerm
 from pasdedeux.reconstruction.terms.path import PathTerm, StanceTerm
 from pasdedeux.reconstruction.terms.pitch import PitchTerm
 from pasdedeux.reconstruction.terms.placed import ANKLES, By, SeenPeople, SeenPerson, Unknown, rays_through, up_axis
-from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, PriorTerm
-from pasdedeux.reconstruction.terms.stature import stature_term
+from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, PriorTerm, stature_term
 from pasdedeux.reconstruction.terms.term import SceneTerm
 
 _LENS_DEVIATION = 0.3

@@ -171,8 +171,8 @@ def test_draws_enter_when_asked_with_all_the_takes_they_come_from(store: Store) 
     np.testing.assert_allclose(across[:, 2], 0.0, atol=1e-5)
     database = pair_database(pairs, camera=DatabaseCamera())
     image = database.project()[73, 4].reshape(2, 14, 2)
-    found = search_pairs(build_index(database), image, np.ones((2, 14)), num_neighbours=1)
-    assert found.neighbours.row.tolist() == [73]
+    found, _ = search_pairs(build_index(database), image, np.ones((2, 14)), num_neighbours=1)
+    assert found.row.tolist() == [73]
     assert (PAIR17.num_joints, BODY22.num_joints, OP14.num_joints) == (17, 22, 14)
 
 

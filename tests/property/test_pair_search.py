@@ -41,7 +41,7 @@ def test_the_nearest_pairs_are_the_best_of_both_orders_by_brute_force(
     query = database.project()[rng.integers(0, 24, 4), 0].reshape(4, 2, 14, 2) + rng.normal(0, 0.03, (4, 2, 14, 2))
     query[rng.uniform(size=(4, 2, 14)) < missing] = np.nan
     weights = rng.uniform(0, 1, (4, 2, 14))
-    found = search_pairs(build_index(database), query, weights, num_neighbours=num_neighbours)
+    found, exchanged = search_pairs(build_index(database), query, weights, num_neighbours=num_neighbours)
     both = [
         search_brute_force(database, one.reshape(4, 28, 2), weight.reshape(4, 28), num_neighbours=num_neighbours)
         for one, weight in ((query, weights), (query[:, ::-1], weights[:, ::-1]))
@@ -55,15 +55,15 @@ def test_the_nearest_pairs_are_the_best_of_both_orders_by_brute_force(
         ]
         distance, is_exchanged, projection = np.array(sorted(ways)[:num_neighbours]).reshape(-1, 3).T
         count = len(projection)
-        np.testing.assert_array_equal(found.neighbours.distance_m[at, :count], distance)
-        np.testing.assert_array_equal(found.is_exchanged[at, :count], is_exchanged)
-        np.testing.assert_array_equal(found.neighbours.projection[at, :count], projection)
-        np.testing.assert_array_equal(found.neighbours.row[at, :count], projection // num_yaws)
-        np.testing.assert_array_equal(found.neighbours.yaw_index[at, :count], projection % num_yaws)
-        assert (found.neighbours.projection[at, count:] == -1).all()
-        assert not found.is_exchanged[at, count:].any()
-    single = search_pairs(build_index(database), query[1], weights[1], num_neighbours=num_neighbours)
-    np.testing.assert_array_equal(single.neighbours.projection, found.neighbours.projection[1])
+        np.testing.assert_array_equal(found.distance_m[at, :count], distance)
+        np.testing.assert_array_equal(exchanged[at, :count], is_exchanged)
+        np.testing.assert_array_equal(found.projection[at, :count], projection)
+        np.testing.assert_array_equal(found.row[at, :count], projection // num_yaws)
+        np.testing.assert_array_equal(found.yaw_index[at, :count], projection % num_yaws)
+        assert (found.projection[at, count:] == -1).all()
+        assert not exchanged[at, count:].any()
+    single, _ = search_pairs(build_index(database), query[1], weights[1], num_neighbours=num_neighbours)
+    np.testing.assert_array_equal(single.projection, found.projection[1])
 
 
 def test_people_in_either_order_find_the_same_pair_which_fills_in_one_who_is_hidden() -> None:
@@ -72,10 +72,10 @@ def test_people_in_either_order_find_the_same_pair_which_fills_in_one_who_is_hid
     hidden = image.copy()
     hidden[1] = np.nan
     for query, is_exchanged in ((image, False), (image[::-1], True), (hidden, False)):
-        found = search_pairs(build_index(database), query, np.ones((2, 14)), num_neighbours=1)
-        assert (found.neighbours.row[0], found.neighbours.yaw_index[0]) == (17, 9)
-        assert found.neighbours.distance_m[0] == 0.0
-        assert found.is_exchanged[0] == is_exchanged
+        found, exchanged = search_pairs(build_index(database), query, np.ones((2, 14)), num_neighbours=1)
+        assert (found.row[0], found.yaw_index[0]) == (17, 9)
+        assert found.distance_m[0] == 0.0
+        assert exchanged[0] == is_exchanged
 
 
 def test_pairs_do_not_depend_on_where_they_stood_and_lie_along_x() -> None:

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.errors import InputError
-from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
+from pasdedeux.fitting.blocks import NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.dragging import pull_joint
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
@@ -55,19 +55,21 @@ def test_block_solve_agrees_with_a_dense_solve(frames: int) -> None:
         stop = min(t + 3, frames)
         rows = generator.normal(size=(30, (stop - t) * n))
         dense[t * n : stop * n, t * n : stop * n] += rows.T @ rows
-    matrix = BlockMatrix(np.zeros((frames, n, n)), np.zeros((frames, 2, n, n)))
+    diagonal, below = np.zeros((frames, n, n)), np.zeros((frames, 2, n, n))
     for t in range(frames):
-        matrix.diagonal[t] = dense[t * n : (t + 1) * n, t * n : (t + 1) * n]
+        diagonal[t] = dense[t * n : (t + 1) * n, t * n : (t + 1) * n]
         for lag in (1, 2):
             if t + lag < frames:
-                matrix.below[t, lag - 1] = dense[(t + lag) * n : (t + lag + 1) * n, t * n : (t + 1) * n]
+                below[t, lag - 1] = dense[(t + lag) * n : (t + lag + 1) * n, t * n : (t + 1) * n]
     rhs = generator.normal(size=(frames, n))
-    np.testing.assert_allclose(solve_blocks(matrix, rhs).ravel(), np.linalg.solve(dense, rhs.ravel()), rtol=1e-8)
+    np.testing.assert_allclose(
+        solve_blocks(diagonal, below, rhs).ravel(), np.linalg.solve(dense, rhs.ravel()), rtol=1e-8
+    )
 
 
 def test_block_solve_refuses_a_matrix_that_is_not_positive_definite() -> None:
     with pytest.raises(NotPositiveDefinite, match="frame 0"):
-        solve_blocks(BlockMatrix(-np.eye(3)[None], np.zeros((1, 2, 3, 3))), np.ones((1, 3)))
+        solve_blocks(-np.eye(3)[None], np.zeros((1, 2, 3, 3)), np.ones((1, 3)))
 
 
 @pytest.mark.parametrize("index", range(4))

@@ -17,8 +17,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION
-from pasdedeux.reconstruction.terms.stature import STATURE_DEVIATION
+from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread

@@ -23,8 +23,7 @@ from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.reliability import Judged, Place, Reliability
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.terms.placed import SeenPerson, up_axis
-from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION
-from pasdedeux.reconstruction.terms.stature import STATURE_DEVIATION
+from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.reconstruction.views.calibration import View, calibrate, lengths_of, meet
 from pasdedeux.reconstruction.views.clocks import Rising, SameTake, match_cameras

@@ -17,10 +17,7 @@ from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import retrieve
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.annotated import (
-    database_of_draws,
-    database_of_takes,
-)
+from pasdedeux.reconstruction.annotated import database_of_draws, database_of_takes
 from pasdedeux.reconstruction.sequence import SearchedDatabase
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
@@ -70,8 +67,7 @@ class LiftingParameters(Parameters):
     )
     num_spans: int = Field(2, ge=0, description="Places of each video where the pairs between are filled in")
     compared: tuple[str, ...] = Field(
-        (),
-        description="Draws, by their density or sweep, or grown_seeds, whose nearest one is compared",
+        (), description="Draws, by their density or sweep, or grown_seeds, whose nearest one is compared"
     )
     baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
         (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"

@@ -144,10 +144,7 @@ def _cluster(shard: Shard, store: Store) -> ArtifactRef:
         clusters = cluster_projections(database, shard.options(ClusterShard).num_clusters, rng)
     columns = {"representative": clusters.representative, "members": list(clusters.members)}
     return commit(
-        shard,
-        store,
-        tables={"projection_clusters": columns},
-        facts=Facts(kind="clusters", takes=merge_takes(*parts)),
+        shard, store, tables={"projection_clusters": columns}, facts=Facts(kind="clusters", takes=merge_takes(*parts))
     )
 
 
@@ -178,8 +175,7 @@ def _project(shard: Shard, store: Store) -> ArtifactRef:
         pitches_deg=options.pitches_deg,
     )
     verdict = Verdict(
-        Level.PASS if len(positions) else Level.WARN,
-        "" if len(positions) else f"the {options.origin}s hold no pose",
+        Level.PASS if len(positions) else Level.WARN, "" if len(positions) else f"the {options.origin}s hold no pose"
     )
     return commit(shard, store, tables={"projections": columns}, facts=facts, verdict=verdict)
 

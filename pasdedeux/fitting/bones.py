@@ -96,16 +96,6 @@ class BoneForest:
         """How the points hang together."""
         return topology_of(self.skeletons)
 
-    @property
-    def num_points(self) -> int:
-        """Number of points of all people."""
-        return len(self.topology.parents)
-
-    @property
-    def num_unknowns(self) -> int:
-        """Unknowns n of one frame."""
-        return int(self.topology.starts[-1])
-
     def state_of(self, positions_m: Array) -> BoneState:
         """Read roots and directions off positions (frame, N, 3); a bone of length zero points up."""
         directions = directions_of(positions_m, self.topology.parents)
@@ -115,10 +105,6 @@ class BoneForest:
         """Return positions (frame, N, 3), metres."""
         shape = self.topology
         return place_bones(state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots)
-
-    def tangents(self, state: BoneState) -> Array:
-        """Return two unit vectors square to each direction and to each other (frame, N, 3, 2)."""
-        return tangents_of(state.directions)
 
     def retract(self, state: BoneState, tangents: Array, step: Array) -> BoneState:
         """Move by a step (frame, n): roots are translated, directions leave along their tangents, made unit again."""

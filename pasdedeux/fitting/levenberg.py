@@ -16,7 +16,7 @@ from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import NotPositiveDefinite, solve_blocks
-from pasdedeux.fitting.bones import BoneForest, BoneState
+from pasdedeux.fitting.bones import BoneForest, BoneState, tangents_of
 from pasdedeux.fitting.terms import AXES, Normal, Term, total_energy
 
 SMALLEST_CURVATURE = 1e-9
@@ -76,7 +76,7 @@ def fit_bones(
     energy = total_energy(terms, positions)
     if not np.isfinite(energy):
         raise InputError("the energy of the first guess is not finite: positions, targets and weights must be")
-    constant = Normal.zeros(len(positions), forest.num_points)
+    constant = Normal.zeros(*positions.shape[:2])
     for term in terms:
         if term.is_quadratic:
             term.add_curvature(positions, constant)
@@ -87,13 +87,13 @@ def fit_bones(
     is_fresh = False
     while iteration < settings.max_iterations and not is_converged:
         if not is_fresh:
-            normal = Normal.zeros(0, forest.num_points)
+            normal = Normal.zeros(0, positions.shape[1])
             normal.gradient = np.zeros(positions.shape)
             for term in terms:
                 term.add_gradient(positions, normal)
                 if not term.is_quadratic:
                     term.add_curvature(positions, normal)
-            tangents = forest.tangents(state)
+            tangents = tangents_of(state.directions)
             diagonal, below, gradient = _reduce(forest, state, tangents, carried, normal)
             is_fresh = True
         iteration += 1
@@ -112,12 +112,7 @@ def fit_bones(
         else:
             damping *= 10.0
             is_converged = damping > LARGEST_DAMPING
-    return FitResult(
-        positions_m=positions,
-        state=state,
-        energies=tuple(energies),
-        num_iterations=iteration,
-    )
+    return FitResult(positions_m=positions, state=state, energies=tuple(energies), num_iterations=iteration)
 
 
 def _damped(diagonal: Array, damping: float) -> Array:
@@ -144,8 +139,8 @@ def _reduce(
 ) -> tuple[Array, Array, Array]:
     """Return the normal equations in the unknowns of the step: blocks as `solve_blocks` takes them, and gradient."""
     frames, points = state.directions.shape[:2]
-    shape, n = forest.topology, forest.num_unknowns
-    carries, starts = shape.carries, shape.starts
+    shape = forest.topology
+    carries, starts, n = shape.carries, shape.starts, int(shape.starts[-1])
     basis = np.zeros((frames, points, AXES, 3))
     basis[..., :2] = tangents * forest.lengths_m[:, None, None]
     basis[:, shape.roots] = np.eye(3)

@@ -26,25 +26,20 @@ from pasdedeux.skeletons.layouts import LAYOUTS
 LEG_PER_HEIGHT = 0.491
 """Length of thigh and shank together, as a share of the stature (Drillis and Contini 1966: 0.245 + 0.246)."""
 
-_TRUNK, _HIP, _GIRDLE, _NECK, _HEAD = 0.052, 0.040, 0.030, 0.030, 0.040
-_UPPER_ARM, _FOREARM, _THIGH, _SHANK, _FOOT = 0.025, 0.020, 0.040, 0.026, 0.018
-
-_TRUNK_BONES = dict.fromkeys(("spine", "chest", "spine1", "spine2", "spine3"), _TRUNK)
 _SIDED = {
-    "collar": _GIRDLE,
-    "shoulder": _GIRDLE,
-    "elbow": _UPPER_ARM,
-    "wrist": _FOREARM,
-    "hip": _HIP,
-    "knee": _THIGH,
-    "ankle": _SHANK,
-    "toe": _FOOT,
+    "collar": 0.030,
+    "shoulder": 0.030,
+    "elbow": 0.025,  # the upper arm
+    "wrist": 0.020,
+    "hip": 0.040,
+    "knee": 0.040,  # the thigh
+    "ankle": 0.026,
+    "toe": 0.018,
 }
-
 RADIUS_PER_HEIGHT: Mapping[str, float] = {
-    **_TRUNK_BONES,
-    "neck": _NECK,
-    "head": _HEAD,
+    **dict.fromkeys(("spine", "chest", "spine1", "spine2", "spine3"), 0.052),
+    "neck": 0.030,
+    "head": 0.040,
     **{f"{side}_{bone}": radius for side in ("left", "right") for bone, radius in _SIDED.items()},
 }
 """Radius of the capsule round each bone, named by its child joint, as a share of the stature.
@@ -61,7 +56,6 @@ class CapsuleModel:
 
     Args:
         skeleton: The skeleton; a bone is named by its child joint.
-        bones: Child joints of all bones, (bone,).
         parents: Parent of every joint, (J,), -1 for the root.
         radius_per_height: Radius of each joint's bone as a share of the stature, (J,); 0 for the root.
         within: Pairs of bones of one person that are checked, by child joint, (pair, 2): at least two bones lie
@@ -70,7 +64,6 @@ class CapsuleModel:
     """
 
     skeleton: Skeleton
-    bones: Integers
     parents: Integers
     radius_per_height: Array
     within: Integers
@@ -211,7 +204,6 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
             within.append((one, other))
     return CapsuleModel(
         skeleton=skeleton,
-        bones=np.array(bones, dtype=np.int64),
         parents=np.array(skeleton.parents, dtype=np.int64),
         radius_per_height=radii,
         within=np.array(within, dtype=np.int64).reshape(-1, 2),

@@ -219,8 +219,7 @@ def _verdict(complaints: Sequence[Complaint]) -> Verdict:
     """Return the worst level, and all complaints, failures first, none twice."""
     in_order = dict.fromkeys(sorted(complaints, key=lambda complaint: complaint.level is not Level.FAIL))
     return Verdict(
-        next(iter(in_order)).level if in_order else Level.PASS,
-        "; ".join(complaint.text for complaint in in_order),
+        next(iter(in_order)).level if in_order else Level.PASS, "; ".join(complaint.text for complaint in in_order)
     )
 
 

@@ -28,15 +28,9 @@ _FRACTION_OF_STATURE = {
 fig. 4.1; widths narrowed from the body's outline to the joint centres)."""
 
 
-def _reference_lengths() -> Array:
-    lengths = [
-        0.0 if parent < 0 else _FRACTION_OF_STATURE[name.removeprefix("left_").removeprefix("right_")]
-        for name, parent in zip(OP14.joint_names, OP14.parents, strict=True)
-    ]
-    return REFERENCE_STATURE_M * np.array(lengths)
-
-
-REFERENCE_LENGTHS_M: Array = _reference_lengths()
+REFERENCE_LENGTHS_M: Array = REFERENCE_STATURE_M * np.array(
+    [_FRACTION_OF_STATURE.get(name.rpartition("_")[2], 0.0) for name in OP14.joint_names]
+)
 """Bone lengths of the reference body (14,), metres, by the joint each bone ends in; 0 for the neck, the root."""
 REFERENCE_LENGTHS_M.flags.writeable = False
 

@@ -92,7 +92,7 @@ class ProjectionIndex:
         query, weight = prepare_query(query_m, weights, num_joints=joints)
         flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, joints, 2), 1, 2)).reshape(-1, 2 * joints)
         flat_weight = np.ascontiguousarray(weight.reshape(-1, joints))
-        rows, summed = search_tree(self.tree, flat_query, flat_weight, num_neighbours=num_neighbours)
+        rows, summed = search_tree(self.tree, flat_query, flat_weight, num_neighbours)
         total = flat_weight.sum(axis=1, dtype=np.float64)[:, None]
         distance = np.full(summed.shape, np.inf)
         np.divide(summed.astype(np.float64), total, out=distance, where=total > 0)
@@ -105,12 +105,7 @@ def build_index(database: Database) -> ProjectionIndex:
     flat = np.empty((database.num_projections, 2 * database.num_joints), dtype=np.float32)
     step = max(1, 100_000 // database.num_yaws)
     for row in range(0, database.num_rows, step):
-        part = _flat(database.project(row, row + step))
+        points = database.project(row, row + step).reshape(-1, database.num_joints, 2)
+        part = np.concatenate([points[..., 0], points[..., 1]], axis=-1)
         flat[row * database.num_yaws :][: len(part)] = part
     return ProjectionIndex(database.num_yaws, build_tree(flat))
-
-
-def _flat(projections: Floats32) -> Floats32:
-    """Return projections (*batch, J, 2) as rows (n, 2 J), x of the joints, then y."""
-    points = projections.reshape(-1, *projections.shape[-2:])
-    return np.concatenate([points[..., 0], points[..., 1]], axis=-1)

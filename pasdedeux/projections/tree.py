@@ -16,7 +16,6 @@ and the bound is lowered by more than float32 rounding can raise it, so pruning 
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +32,7 @@ _ROUNDING = np.float32(1.0 - 1e-5)
 Integers32 = npt.NDArray[np.int32]
 
 
-@dataclass(frozen=True)
-class SearchTree:
+class SearchTree(NamedTuple):
     """A tree of boxes; 16 projections of J joints a leaf, 16 children a node.
 
     Args:
@@ -98,26 +96,6 @@ def _boxes_above(low: Floats32, high: Floats32) -> _TreeLevel:
     half = np.maximum(high - middle, middle - low) + np.float32(1e-6) * (np.abs(low) + np.abs(high))
     half[-1, :, _LANES - missing :] = -1.0
     return _TreeLevel(np.ascontiguousarray(middle), np.ascontiguousarray(half), low.min(axis=2), high.max(axis=2))
-
-
-def search_tree(
-    tree: SearchTree, query: Floats32, weight: Floats32, *, num_neighbours: int
-) -> tuple[Integers, Floats32]:
-    """Return the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
-
-    Args:
-        tree: Tree of projections of J joints.
-        query: Queries (n, 2 J), x of the joints, then y.
-        weight: Weights (n, J), not negative; a query without any weight finds nothing.
-        num_neighbours: k.
-
-    Returns:
-        Numbers, -1 where there is none, and sums, ascending, inf where there is none.
-    """
-    found = np.full((len(query), num_neighbours), -1, dtype=np.int64)
-    summed = np.full((len(query), num_neighbours), np.inf, dtype=np.float32)
-    _search(query, weight, tree.number, tree.leaves, tree.centre, tree.half, tree.level_start, found, summed)
-    return found, summed
 
 
 @compiled()
@@ -220,20 +198,26 @@ def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> 
 
 
 @compiled()
-def _search(
-    queries: Floats32,
-    weights: Floats32,
-    number: Integers32,
-    leaves: Floats32,
-    centre: Floats32,
-    half: Floats32,
-    level_start: Integers,
-    found: Integers,
-    summed: Floats32,
-) -> None:
-    """Search each query best-first: the node of least bound is opened next, until no bound beats the k-th best."""
-    num_levels = level_start.shape[0] - 1
-    lanes = leaves.shape[2]
+def search_tree(
+    tree: SearchTree, queries: Floats32, weights: Floats32, num_neighbours: int
+) -> tuple[Integers, Floats32]:
+    """Return the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
+
+    Best-first: the node of least bound is opened next, until no bound beats the k-th best.
+
+    Args:
+        tree: Tree of projections of J joints.
+        queries: Queries (n, 2 J), x of the joints, then y.
+        weights: Weights (n, J), not negative; a query without any weight finds nothing.
+        num_neighbours: k.
+
+    Returns:
+        Numbers, -1 where there is none, and sums, ascending, inf where there is none.
+    """
+    found = np.full((queries.shape[0], num_neighbours), -1, dtype=np.int64)
+    summed = np.full((queries.shape[0], num_neighbours), np.inf, dtype=np.float32)
+    num_levels = tree.level_start.shape[0] - 1
+    lanes = tree.leaves.shape[2]
     lane_value = np.empty(lanes, dtype=np.float32)
     for at in range(queries.shape[0]):
         query, weight = queries[at], weights[at]
@@ -247,14 +231,15 @@ def _search(
             if bound > best[last]:
                 break
             if level == num_levels:
-                _distances(query, weight, leaves[node], lane_value)
+                _distances(query, weight, tree.leaves[node], lane_value)
                 for lane in range(lanes):
-                    if number[node, lane] >= 0 and lane_value[lane] <= best[last]:
-                        _keep(best_number, best, int(number[node, lane]), lane_value[lane])
+                    if tree.number[node, lane] >= 0 and lane_value[lane] <= best[last]:
+                        _keep(best_number, best, int(tree.number[node, lane]), lane_value[lane])
                 continue
-            inner = level_start[level] + node
-            _bounds(query, weight, centre[inner], half[inner], lane_value)
+            inner = tree.level_start[level] + node
+            _bounds(query, weight, tree.centre[inner], tree.half[inner], lane_value)
             for lane in range(lanes):
                 lowered = lane_value[lane] * _ROUNDING
-                if half[inner, 0, lane] >= 0 and lowered <= best[last]:
+                if tree.half[inner, 0, lane] >= 0 and lowered <= best[last]:
                     heapq.heappush(heap, (lowered, level + 1, node * lanes + lane))
+    return found, summed

@@ -12,7 +12,7 @@ from itertools import permutations
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.people.names import person_name
@@ -142,7 +142,7 @@ class _FilmPoints:
         shown = points[of_whole if of_whole.any() else of_anybody][..., 1]
         heights = np.nanmax(shown, axis=1) - np.nanmin(shown, axis=1)
         height = float(np.percentile(heights, 50 if of_whole.any() else 90)) if len(heights) else 1.0
-        return cls(points, times_s, max(height, 1.0), tracks[0].lens, _ids(tracks))
+        return cls(points, times_s, max(height, 1.0), tracks[0].lens, tuple(track.person_id for track in tracks))
 
     def _known(self, people: Sequence[int], truth: Array) -> tuple[Array, Array, Flags]:
         points = self.keypoints_px[:, list(people)]
@@ -192,10 +192,8 @@ class _FilmPoints:
         start_s = offset_s + rate * middle_s
 
         def at(x: Array) -> Array:
-            frames = (start_s + x[7] + rate * np.exp(x[8]) * frame_s) * truth_hz
-            inside = np.clip(frames, 0.0, len(truth_m) - 1.0)
-            low = np.minimum(inside.astype(int), max(len(truth_m) - 2, 0))
-            high, share = np.minimum(low + 1, len(truth_m) - 1), (inside - low)[:, None]
+            low, high, share = _around(len(truth_m), (start_s + x[7] + rate * np.exp(x[8]) * frame_s) * truth_hz)
+            share = share[:, None]
             return np.asarray((1.0 - share) * truth_m[low, who, joint] + share * truth_m[high, who, joint])
 
         def distances(x: Array) -> Array:
@@ -221,15 +219,17 @@ class _FilmPoints:
         return FilmAlignment(made, names, start_s + float(x[7]) - own_rate * middle_s, own_rate, median)
 
 
-def _ids(tracks: Sequence[Track]) -> tuple[int, ...]:
-    return tuple(track.person_id for track in tracks)
-
-
 def _at(motion: Array, frames: Array) -> Array:
     """Return a motion (frame, ...) at frames (n,) that may lie between two; NaN outside of it."""
-    inside = np.clip(frames, 0.0, len(motion) - 1.0)
-    low = np.minimum(inside.astype(int), max(len(motion) - 2, 0))
-    share = (inside - low).reshape(-1, *[1] * (motion.ndim - 1))
-    between = (1.0 - share) * motion[low] + share * motion[np.minimum(low + 1, len(motion) - 1)]
-    is_inside = np.abs(frames - inside) < 0.5
+    low, high, share = _around(len(motion), frames)
+    share = share.reshape(-1, *[1] * (motion.ndim - 1))
+    is_inside = np.abs(frames - np.clip(frames, 0.0, len(motion) - 1.0)) < 0.5
+    between = (1.0 - share) * motion[low] + share * motion[high]
     return np.asarray(np.where(is_inside.reshape(share.shape), between, np.nan))
+
+
+def _around(num_frames: int, frames: Array) -> tuple[Integers, Integers, Array]:
+    """Return the two frames of a motion around each of some that may lie between two, and the share of the second."""
+    inside = np.clip(frames, 0.0, num_frames - 1.0)
+    low = np.minimum(inside.astype(int), max(num_frames - 2, 0))
+    return low, np.minimum(low + 1, num_frames - 1), inside - low

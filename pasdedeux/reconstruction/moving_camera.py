@@ -6,6 +6,7 @@ A moving camera that is not known is taken for motion of the people: their feet 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def subtract_motion(tracks: Sequence[Track], motion: CameraMotion | None) -> tup
     """
     if motion is None or not tracks:
         return [*tracks], False
-    steady = [track.steadied(motion) for track in tracks]
+    steady = [replace(track, keypoints_px=motion.steady_px(track.frames, track.keypoints_px)) for track in tracks]
     if share_alike(steady) > max(_MAX_SHARE, share_alike(tracks)):
         return [*tracks], False
     return steady, True

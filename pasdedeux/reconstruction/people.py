@@ -273,12 +273,7 @@ def place_people(
 
 
 def _finished(
-    name: str,
-    people: tuple[ReconstructedTrack, ...],
-    database: Database,
-    camera: DatabaseCamera,
-    *,
-    is_cleaned: bool,
+    name: str, people: tuple[ReconstructedTrack, ...], database: Database, camera: DatabaseCamera, *, is_cleaned: bool
 ) -> list[MethodMotions]:
     """Return the motions of a method with bodies, and what the clean-up makes of them."""
     origin_m = floor_offset(people, camera)

@@ -102,11 +102,7 @@ def choose_nearest(neighbours: Neighbours) -> Integers:
 
 
 def choose_viterbi(
-    database: Database,
-    neighbours: Neighbours,
-    *,
-    rate_hz: float,
-    yaw_steps: Array | None = None,
+    database: Database, neighbours: Neighbours, *, rate_hz: float, yaw_steps: Array | None = None
 ) -> Integers:
     """Return the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, check_positive
-from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH, CameraMotion
+from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH
 from pasdedeux.people.broken import find_breaks
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
@@ -99,10 +99,6 @@ class Track:
     def frames(self) -> Integers:
         """Frames of the sequence (frame,)."""
         return self.first_frame + np.arange(len(self.keypoints_px))
-
-    def steadied(self, motion: CameraMotion) -> Track:
-        """Return the track in the steady image of a camera that moves."""
-        return replace(self, keypoints_px=motion.steady_px(self.frames, self.keypoints_px))
 
     def every(self, stride: int) -> Track:
         """Return every n-th frame."""

@@ -37,10 +37,7 @@ _FAR_PX = 1e9
 """Focal length of a lens whose rays are parallel to one part in a million."""
 
 _KNOWN_BODY = ReconstructionOptions(
-    has_own_proportions=False,
-    metres_per_pixel=1.0 / _PIXELS_PER_METRE,
-    min_noise_m=0.001,
-    trust_per_misfit=4.0,
+    has_own_proportions=False, metres_per_pixel=1.0 / _PIXELS_PER_METRE, min_noise_m=0.001, trust_per_misfit=4.0
 )
 """Proportions, scale and lens are right, so the image is believed to 1 mm, and retrieved bones half as tightly.
 

@@ -57,12 +57,10 @@ class SameTake:
     Args:
         offset_s: What to add to times of the first camera to have those of the second.
         person_ids: Person of the first by person of the second.
-        correlation: Mean correlation of the speeds of these people.
     """
 
     offset_s: float
     person_ids: Mapping[int, int]
-    correlation: float
 
 
 def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rate_hz: float) -> SameTake:
@@ -106,7 +104,7 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
         )
     names = list(first), list(second)
     people = {names[1][column]: names[0][row] for row, column in alike}
-    return SameTake(float((lags[best] + _peak(sums, best)) / rate_hz), people, mean)
+    return SameTake(float((lags[best] + _peak(sums, best)) / rate_hz), people)
 
 
 def _correlations(first: Rising, second: Rising, lags: Array, rate_hz: float) -> Array:

@@ -67,21 +67,10 @@ class RayTerm(Term):
             normal.stencils.append((points, np.ones(points.shape), self.weights, unit))
 
 
-@dataclass(frozen=True)
-class FittedPerson:
-    """A person as all views see it.
-
-    Args:
-        positions_m: (frame, 14, 3), axes of the first camera.
-        off_m: Median distance of the joints from the rays in which they are seen.
-    """
-
-    positions_m: Array
-    off_m: float
-
-
-def fit_person(views: Sequence[View], person: int, guess_m: Array, lengths_m: Array, rate_hz: float) -> FittedPerson:
-    """Return a person's poses fitted to all views.
+def fit_person(
+    views: Sequence[View], person: int, guess_m: Array, lengths_m: Array, rate_hz: float
+) -> tuple[Array, float]:
+    """Return a person's poses fitted to all views (frame, 14, 3), and the median distance of joints from their rays.
 
     Args:
         views: Calibrated views.
@@ -115,4 +104,4 @@ def fit_person(views: Sequence[View], person: int, guess_m: Array, lengths_m: Ar
         # The median of a Rayleigh distribution is 1.1774 deviations.
         noise = max(_MIN_NOISE_M, float(np.nanmedian(np.stack(off))) / 1.1774)
         robust = [1.0 / (1.0 + (np.nan_to_num(one) / (HALF_WEIGHT * noise)) ** 2) for one in off]
-    return FittedPerson(result.positions_m, float(np.nanmedian(np.stack(off))))
+    return result.positions_m, float(np.nanmedian(np.stack(off)))

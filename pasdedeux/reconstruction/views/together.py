@@ -320,10 +320,10 @@ def _fit_people(
         frames = np.searchsorted(times_s, person.track.times_s - 1e-6)
         shown = [view.chosen(frames) for view in views]
         lengths = np.where(lengths_m[number] > 0, lengths_m[number], bone_lengths(OP14, person.positions_m[:1])[0])
-        fit = fit_person(shown, number, person.positions_m, lengths, rate_hz)
+        positions_m, person_off_m = fit_person(shown, number, person.positions_m, lengths, rate_hz)
         is_seen = np.any([(view.confidence[:, number] > 0).sum(axis=1) >= MIN_JOINTS for view in shown], axis=0)
-        fitted.append(replace(person.posed(fit.positions_m), is_bridged=~is_seen))
-        off_m.append(fit.off_m)
+        fitted.append(replace(person.posed(positions_m), is_bridged=~is_seen))
+        off_m.append(person_off_m)
     return fitted, float(np.mean(off_m))
 
 

@@ -1,7 +1,7 @@
-"""Annotated frames of two people lifted as one video: one camera, one size each, over time.
+"""Lift the annotated frames of two people as one video: one camera, and one size for each person.
 
-In a single frame the distance of the two people depends on their sizes; over the frames of one camera it follows from
-floor, sizes, touch and the pairs that look alike, as in `scene`.
+In a single frame, the distance of the two people depends on their sizes.  Over the frames of one camera it follows from
+floor, sizes, touch and pairs that look alike, as in `scene`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.spread import evenly_spread
 
 MIN_FRAMES = 12
-"""Fewer annotated frames say too little of a camera: twelve place a lift within 9 cm, a single frame nothing."""
+"""Smallest number of annotated frames that determine a camera: twelve place a lift within 9 cm."""
 _MAX_FRAMES, MAX_PAIRS = 1000, 3000
-"""Frames that are reconstructed together, and pairs of the database, evenly chosen, at most; poses twice as many."""
+"""Largest numbers of frames reconstructed together and of pairs of the database, evenly chosen; twice as many poses."""
 
 _SHARED = [name for name in OP14.joint_names if name not in ("head", "neck")]
 """Joints that both skeletons have; op14's head is the nose, and its neck lies between the shoulders."""
@@ -37,7 +37,7 @@ _TORSO = [_SHARED.index(f"{side}_{name}") for side in ("left", "right") for name
 
 
 def database_of_draws(pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]) -> SearchedDatabase:
-    """Return draws and grown pairs (draw, person=2, 17, 3), metres, as what cameras of these pitches may see."""
+    """Return draws and grown pairs (draw, person=2, 17, 3), metres, as a database for cameras of these pitches."""
     op14 = op14_from_working(pairs_m[evenly_spread(len(pairs_m), MAX_PAIRS)].astype(np.float64), PAIR17)
     poses = centre_and_face(retarget_proportions(op14.reshape(-1, OP14.num_joints, 3))).poses_m
     return _database(poses, op14, pitches_rad)
@@ -46,14 +46,14 @@ def database_of_draws(pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[f
 def database_of_takes(
     database: Database, pairs_m: npt.NDArray[np.floating], pitches_rad: Sequence[float]
 ) -> SearchedDatabase:
-    """Return poses of a database and its pairs (row, person=2, 14, 3) as what cameras of these pitches may see."""
+    """Return poses of a database and its pairs (row, person=2, 14, 3) as a database for cameras of these pitches."""
     pairs = pairs_m[evenly_spread(len(pairs_m), MAX_PAIRS)].astype(np.float64)
     poses = database.poses_m[evenly_spread(database.num_rows, 2 * MAX_PAIRS)]
     return _database(poses, pairs, pitches_rad)
 
 
 def _database(poses_m: npt.NDArray[np.floating], pairs_m: Array, pitches_rad: Sequence[float]) -> SearchedDatabase:
-    # Annotated frames are too far apart to follow motion by the frame.
+    # Annotated frames are too far apart to follow the motion of a take, so each pose starts a sequence.
     count = len(poses_m)
     made = SearchedDatabase(
         Database(poses_m.astype(np.float32), np.ones(count, dtype=bool)),
@@ -70,7 +70,7 @@ class LiftedFrames(NamedTuple):
 
     Args:
         positions_m: Joints (frame, person=2, 14, 3), camera axes, metres.
-        expected_m: What poses and place of the two let expect of the error of a joint of the pair (frame,).
+        expected_m: Expected error of a joint of the pair, from those of poses and place (frame,).
     """
 
     positions_m: Array
@@ -88,9 +88,9 @@ def lift_over_time(
 
     Args:
         tracks: The two people.
-        frames: Annotated frames of the sequence (frame,) that show both, rising; need not be regular.
-        database: Database that they are matched to.
-        camera: What is known of the camera.
+        frames: Annotated frames of the sequence (frame,) that show both, rising, at any distances.
+        database: Database for the matches.
+        camera: Stated facts about the camera.
         statures_m: Stature by person id, where it is known.
 
     Returns:
@@ -116,7 +116,7 @@ def lift_over_time(
         positions.append(np.stack([track.positions_m for track in reconstruction.people.methods[-1].people], axis=1))
         (place,) = reconstruction.judged.places.values()
         poses_m = np.mean([person.expected_error_m for person in reconstruction.judged.people.values()])
-        # About their middle, each of the two is off by half of what their place is.
+        # Relative to their middle, each person has half the error of their place.
         expected.append(np.full(len(part), np.hypot(poses_m, 0.5 * place.expected_error_m)))
     return LiftedFrames(np.concatenate(positions), np.concatenate(expected))
 
@@ -124,7 +124,7 @@ def lift_over_time(
 def as_pair17(op14_m: Array, pair_m: Array) -> Array:
     """Return two people (2, 14, 3) as pair17 (2, 17, 3); trunks and heads, which op14 lacks, come from a similar pair.
 
-    Each is moved, at the size of the other, to where shoulders and hips lie.
+    Each person of that pair is scaled and moved onto the shoulders and hips of the other.
     """
     joints, known = op14_m[:, _OP14], pair_m[:, _PAIR17]
     spread = [np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=(1, 2)) for points in (joints, known)]

@@ -1,9 +1,9 @@
 """From op14 to a whole body: `body22` with constant bones, through the joints of the fit, posed as the match elsewhere.
 
-Hips, shoulders, elbows, wrists, knees and ankles of op14 are joints of the body and stay where they are.  What op14
-does not have - how the pelvis tilts, the spine bends, the head looks, the feet point - comes from the matched frame of
-the database and gives way where the two do not meet: of all ways to close the chain from the hips to the shoulders the
-one that turns its joints least is taken.  Every rotation is relative to the standing T-pose.
+Hips, shoulders, elbows, wrists, knees and ankles of op14 are joints of the body and stay in place.  The tilt of the
+pelvis, the bend of the spine, the turn of the head and the direction of the feet, which op14 lacks, come from the
+matched frame of the database.  They are adjusted where they do not fit the joints: the chain from hips to shoulders is
+closed by the smallest turns of its joints.  Every rotation is relative to the standing T-pose.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _PARENTS = np.array(BODY22.parents)
 _PELVIS, _NECK22, _HEAD22 = BODY22.indices(["pelvis", "neck", "head"])
 _LEGS = np.array(BODY22.legs)
 SHARED = [name for name in OP14.joint_names if name in BODY22.joint_names and name not in ("neck", "head")]
-"""Joints that op14 and body22 have in common; neck and head are other points."""
+"""Joints that op14 and body22 share; their necks and heads are different points."""
 
 _ANKLE_HEIGHT = t_pose("left_ankle")[1]
 _TOE_HEIGHT = t_pose("left_toe")[1]
 _SHOULDER_LINE = t_pose("left_shoulder")[1] - t_pose("left_hip")[1]
-"""Heights over the floor, and of the shoulders over the hips, of who stands in the T-pose; fractions of stature."""
+"""Heights of ankle and toe over the floor, and of shoulders over hips, in the T-pose; fractions of stature."""
 _COLLAR = (0.018, 0.812, 0.016)
-"""Where the collar bones begin (left, up, forward), before the shoulders: so they can rise, sink and close in."""
+"""Where the collar bones begin (left, up, forward), inside the shoulders, which can then rise, sink and close."""
 
 
 def _rest(lengths_m: Array, hip_width_m: float) -> Array:
@@ -74,7 +74,7 @@ def _rest(lengths_m: Array, hip_width_m: float) -> Array:
 
 
 def _ankle_height(leg_m: float) -> float:
-    """Return the height of the ankles of who stands on legs of this length from hip to ankle, metres."""
+    """Return the height of standing ankles for legs of this length from hip to ankle, metres."""
     return float(leg_m * _ANKLE_HEIGHT / (t_pose("left_hip")[1] - _ANKLE_HEIGHT))
 
 
@@ -84,7 +84,7 @@ class Body:
 
     Args:
         rest_m: The T-pose (22, 3), metres, mid-hip at the origin.
-        ankle_height_m: Height of the ankles of who stands.
+        ankle_height_m: Height of standing ankles.
     """
 
     rest_m: Array
@@ -128,7 +128,7 @@ def rotations_from_t_pose(
     """
     twisted = None
     if world_unitquat is not None and source_rest_m is not None:
-        # How the source's rest pose comes from the T-pose.
+        # The turns from the T-pose to the rest pose of the source.
         local = local_rotations(BODY22, REFERENCE_REST_M, source_rest_m)
         rest = Motion(BODY22, np.zeros((BODY22.num_joints, 3)), np.zeros((1, 3)), local[None], 1.0).world()[1][0]
         twisted = multiply(world_unitquat, np.broadcast_to(rest, world_unitquat.shape))
@@ -136,7 +136,7 @@ def rotations_from_t_pose(
 
 
 def hold_hips(track: ReconstructedTrack) -> ReconstructedTrack:
-    """Return a reconstruction whose hips keep their distance, its median; see `held_hips`."""
+    """Return a reconstruction with a constant distance between the hips, the median; see `held_hips`."""
     positions = np.array(track.positions_m, dtype=np.float64, order="C")
     positions = held_hips(positions, np.median(bone_lengths(OP14, positions), axis=0), _hip_width(positions))
     return track.posed(positions)
@@ -148,12 +148,12 @@ def _hip_width(positions_m: Array) -> float:
 
 @dataclass(frozen=True)
 class Bends:
-    """How the match poses what op14 does not have.
+    """The pose, by the match, of the joints that op14 lacks.
 
     Args:
-        unitquat: Local rotations (frame, 22, 4) from the T-pose; that of the pelvis is against the frame of the trunk,
-            see `bones.bone_rotations`.
-        nose_unitquat: Turns the direction from neck to nose from rest into that frame (frame, 4).
+        unitquat: Local rotations (frame, 22, 4) from the T-pose; that of the pelvis is relative to the frame of the
+            trunk, see `bones.bone_rotations`.
+        nose_unitquat: Rotation of the direction from neck to nose, from rest, in that frame (frame, 4).
     """
 
     unitquat: Array
@@ -168,7 +168,7 @@ class Bends:
 
 
 def bends_of(database: Database, rows: npt.ArrayLike) -> Bends:
-    """Return what rows of a database (frame,) say; nothing where it has no whole bodies."""
+    """Return the bends of rows of a database (frame,); the default pose if it has no whole bodies."""
     rows = np.asarray(rows, dtype=np.int64)
     if database.body22_unitquat is None:
         return Bends.none(len(rows))
@@ -179,7 +179,7 @@ def bends_of(database: Database, rows: npt.ArrayLike) -> Bends:
 
 
 def _bends_of_track(database: Database, track: ReconstructedTrack, window: int) -> Bends:
-    """Return what the matches of a track say, bridged as its poses are, and smooth over a window of frames."""
+    """Return the bends of the matches of a track, interpolated like its poses and smoothed over a window of frames."""
     bends = bends_of(database, np.maximum(track.row, 0))
     both = np.concatenate([bends.unitquat, bends.nose_unitquat[:, None]], axis=1)
     both = normalise(bridge_gaps(both, ~track.is_bridged))
@@ -203,11 +203,11 @@ class EmbodiedMotion:
     unitquat: Array
 
     def motion(self, rate_hz: float) -> Motion:
-        """Return it as a motion on body22."""
+        """Return the motion on body22."""
         return Motion(BODY22, self.body.offsets_m, self.pelvis_m, self.unitquat, rate_hz)
 
     def turned(self, rotmat: Array) -> EmbodiedMotion:
-        """Return it in other axes (3, 3)."""
+        """Return the motion in other axes (3, 3)."""
         unitquat = np.array(self.unitquat)
         unitquat[:, _PELVIS] = multiply(unitquat_from_rotmat(rotmat)[None], unitquat[:, _PELVIS])
         return replace(self, pelvis_m=self.pelvis_m @ rotmat.T, unitquat=unitquat)
@@ -237,10 +237,10 @@ def embody(database: Database, track: ReconstructedTrack, positions_m: Array, *,
     """Return the whole body of a reconstruction.
 
     Args:
-        database: What it was matched to.
+        database: Database of its matches.
         track: The reconstruction.
         positions_m: Its positions (frame, 14, 3) in upright axes, metres, standing ankles at y = 0.
-        window: Frames that what the matches say is smoothed over; 1 leaves it as it is.
+        window: Frames over which the bends of the matches are smoothed; 1 for no smoothing.
     """
     body = body_through(positions_m)
     bends = _bends_of_track(database, track, window)
@@ -253,14 +253,14 @@ def pose_body(
 ) -> tuple[Array, Array]:
     """Return the pelvis (frame, 3) and local rotations (frame, 22, 4) of a body through op14 joints.
 
-    Where joints cannot be reached - shoulders further from the hips than the spine is long - the chain is stretched
-    towards them, and the arm bends so that its wrist is where it was.
+    If shoulders are further from the hips than the spine reaches, the spine is stretched towards them, and the arms
+    bend so that the wrists stay in place.
 
     Args:
         body: The person's bones.
         positions_m: op14 positions (frame, 14, 3), bones and hips of the body's lengths; upright axes, metres.
-        bends: What the match says of the rest; nothing if not given.
-        floor_m: Height of the floor: the balls of the feet do not sink into it.
+        bends: Pose of the other joints by the match; the default pose if not given.
+        floor_m: Height of the floor, below which the balls of the feet do not sink.
     """
     poses = np.array(positions_m, dtype=np.float64, order="C")
     trunk = np.ascontiguousarray(bone_rotations(poses)[:, _NECK])
@@ -271,16 +271,16 @@ def pose_body(
 
 
 def soles_m(bodies: Sequence[EmbodiedMotion]) -> float:
-    """Return the mean distance of the soles below the ankles over all standing people, metres."""
+    """Return the mean height of standing ankles over the soles, over all people, metres."""
     return float(np.mean([body.body.ankle_height_m for body in bodies]))
 
 
 def motions_together(people: Sequence[tuple[int, EmbodiedMotion, Flags]], *, rate_hz: float) -> list[HumanoidMotion]:
-    """Return people of one video with soles at y = 0, all from the first frame with anybody to the last.
+    """Return the motions of the people of one video, soles at y = 0, all over the frames from anybody's first to last.
 
     Args:
-        people: Of each the first frame, the body in every frame from there on, upright, standing ankles at y = 0, and
-            which of these frames (frame,) are bridged.
+        people: For each person the first frame, the body in every frame from there on (upright, standing ankles at
+            y = 0), and which of these frames (frame,) are interpolated.
         rate_hz: Frames per second.
     """
     starts, bodies, _ = zip(*people, strict=True)

@@ -1,8 +1,8 @@
-"""Rotations of op14 bones: a turning frame for every bone, so that a twisted trunk and shrugged shoulders are kept.
+"""Rotations of op14 bones: a frame for every bone, which keeps twists of the trunk and shrugs of the shoulders.
 
-The neck of `op14` has five children (head, shoulders, hips).  One rotation of the neck cannot turn hips and shoulders
-against each other, so a rotation here belongs to the *bone that ends in a joint*: the neck carries the frame of the
-body, every other joint the swing of its bone against the bone before it.  Rest is a T-pose facing +Z.
+The neck of `op14` has five children (head, shoulders, hips), and one rotation cannot turn hips against shoulders.  So
+rotations belong to the *bone that ends in a joint*: the neck has the frame of the body, every other joint the swing of
+its bone relative to the bone before it.  Rest is a T-pose facing +Z.
 """
 
 from __future__ import annotations
@@ -68,9 +68,8 @@ def bone_rotations(positions: Array) -> Array:
     """Return the rotations (*batch, 14, 4) of op14 bones from positions (*batch, 14, 3), any unit.
 
     Entry of the neck: the frame of the body in the world, up from mid-hip to neck and left from the right to the left
-    hip and shoulder.  Entry of every other joint: the shortest rotation of the bone that ends there, against the bone
-    before it (the frame of the body for head, shoulders and hips).  A bone of length zero keeps the rotation of the
-    bone before it (identity).
+    hip and shoulder.  Entry of every other joint: the shortest rotation of the bone that ends there, relative to the
+    bone before it (the frame of the body for head, shoulders and hips).  A bone of length zero has the identity.
     """
     flat = np.array(positions, dtype=np.float64, order="C").reshape(-1, OP14.num_joints, 3)
     return _bone_rotations(flat).reshape(*positions.shape[:-1], 4)
@@ -93,7 +92,7 @@ def place_bone_rotations(bone_unitquat: Array, lengths_m: Array, root_m: Array) 
 
 @compiled()
 def _bone_rotations(positions: Array) -> Array:
-    """Do `bone_rotations` for poses (n, 14, 3)."""
+    """Return the rotations (n, 14, 4) of poses (n, 14, 3); see `bone_rotations`."""
     local = np.empty((*positions.shape[:2], 4))
     for at in range(positions.shape[0]):
         pose = positions[at]

@@ -1,8 +1,8 @@
 """Clean-up of a reconstructed motion: planted feet stand still, nobody sinks into the floor, bones keep their length.
 
-The depth of a person is badly known from one camera, so reconstructed people glide.  Feet on the floor tell how the
-body moved: first the path of the whole body is corrected, with poses kept, so that planted feet move least.  The legs
-then take up the rest: hips and feet are given, and the knee keeps the plane in which it bends.
+One camera shows the depth of a person badly, so reconstructed people glide.  Feet on the floor show how the body
+moved.  First, the path of the whole body is corrected so that planted feet move least; poses are kept.  Then the legs
+reach the remaining way: hips and feet are given, and the knee stays in the plane in which it bends.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _ANKLES = np.array([leg[2] for leg in _LEGS])
 _LEFT_HIP, _RIGHT_HIP = (leg[0] for leg in _LEGS)
 _UP = 1
 _STRAIGHT = 1.0 - 1e-6
-"""A leg is never stretched beyond this part of its length, where the knee's plane would be lost."""
+"""Largest stretch of a leg, as a part of its length; beyond, the plane of the knee is undefined."""
 
 _MIN_BEND_M = 1e-4
 
@@ -40,17 +40,17 @@ _MIN_BEND_M = 1e-4
 BLEND_S = 0.12
 """Time over which the lock of a foot is blended in and out."""
 MAX_BEND_M = 0.04
-"""Largest displacement of a foot by the legs."""
+"""Largest displacement of a foot by bending the leg."""
 _MIN_CONTACT_S = 0.1
 """Shorter contacts are dropped."""
 _SHIFT_STIFFNESS = 1.0
-"""Cost of a second difference of the correction of the path, against 1 for a planted foot's step."""
+"""Cost of a second difference of the path's correction; the step of a planted foot costs 1."""
 _SHIFT_HOLD = 0.01
-"""Cost of the correction itself."""
+"""Cost of the correction."""
 _FLOOR_PULL = 0.1
 """Cost of the height of a planted foot over the floor."""
 _TOUCH_M = 0.05
-"""People whose bodies are nearer than this touch each other."""
+"""Largest gap between the bodies of people who touch each other."""
 _TOUCH_HOLD = 1.0
 """Cost of moving one of two people who touch but not the other."""
 
@@ -62,8 +62,8 @@ class CleanedMotion:
     Args:
         positions_m: (frame, *person, 14, 3), upright axes, metres.
         is_planted: Left and right foot on the floor (frame, *person, 2).
-        shift_m: What the body's path was corrected by (frame, *person, 3).
-        floor_m: Height of ankles that stand, one for all.
+        shift_m: Correction of the path of the body (frame, *person, 3).
+        floor_m: Height of standing ankles, the same for all people.
     """
 
     positions_m: Array
@@ -75,14 +75,14 @@ class CleanedMotion:
 def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = None) -> CleanedMotion:
     """Clean up the motion of a person, or of all people of a video.
 
-    All stand on one floor; people in the air, see `interaction.floor`, are not put on it.  People who touch keep their
-    place relative to each other: their paths are corrected together, so a carried person follows the feet of the other.
+    All people stand on one floor; people in the air (see `interaction.floor`) are not put on it.  The paths of people
+    who touch are corrected together: a carried person follows the feet of the carrier.
 
     Args:
         positions_m: op14 positions (frame, *person, 14, 3), upright axes (y up, z towards the camera), metres; of
-            people who are not there anything finite.
+            absent people, any finite values.
         rate_hz: Frames per second.
-        is_present: Who is there (frame, *person); everybody where not given.
+        is_present: Whether each person is there (frame, *person); everybody by default.
     """
     if positions_m.ndim not in (3, 4) or positions_m.shape[-2:] != (14, 3) or len(positions_m) == 0:
         raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, *people, 14, 3)")
@@ -114,7 +114,7 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
 
 
 def _drop_short(is_planted: Flags, num_frames: int) -> None:
-    """Take contacts (frame, person, foot) of fewer frames away."""
+    """Remove contacts (frame, person, foot) that last fewer frames."""
     for person, side in np.ndindex(is_planted.shape[1:]):
         for first, last in _runs(is_planted[:, person, side]):
             if last - first < num_frames:
@@ -122,7 +122,7 @@ def _drop_short(is_planted: Flags, num_frames: int) -> None:
 
 
 def _touching(positions: Array, present: Flags) -> list[tuple[int, int, Flags]]:
-    """Return who touches whom in which frames (frame,)."""
+    """Return for each couple both numbers, and the frames in which they touch (frame,)."""
     radii = capsule_model(OP14).radii_of(positions)
     touching = []
     for first, second in combinations(range(positions.shape[1]), 2):
@@ -150,7 +150,7 @@ def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, fallb
 
 @inner_kernel()
 def bend_one_leg(start: Vector, middle: Vector, end: Vector, target: Vector, fallback: Vector) -> tuple[Vector, Vector]:
-    """Do `bend_leg` for one leg."""
+    """Return knee and ankle of one leg; see `bend_leg`."""
     above, old_line, line = subtract(middle, start), subtract(end, start), subtract(target, start)
     thigh, shank = length(above), length(subtract(end, middle))
     old_reach, reach = length(old_line), length(line)
@@ -171,7 +171,7 @@ def bend_one_leg(start: Vector, middle: Vector, end: Vector, target: Vector, fal
 
 @inner_kernel()
 def facing_of(pose: Array) -> Vector:
-    """Return where the body of a pose (14, 3) faces, level; +Z where its hips are in one place."""
+    """Return the level direction that the body of a pose (14, 3) faces; +Z if its hips coincide."""
     across = subtract(row_of(pose, _LEFT_HIP), row_of(pose, _RIGHT_HIP))
     facing = (-across[2], 0.0, across[0])
     size = length(facing)
@@ -180,7 +180,7 @@ def facing_of(pose: Array) -> Vector:
 
 @compiled()
 def _facings(poses: Array) -> Array:
-    """Return `facing_of` poses (frame, 14, 3)."""
+    """Return `facing_of` for each pose (frame, 14, 3)."""
     facings = np.empty((poses.shape[0], 3))
     for at in range(poses.shape[0]):
         put_row(facings, at, facing_of(poses[at]))
@@ -188,9 +188,10 @@ def _facings(poses: Array) -> Array:
 
 
 def _correct_paths(feet: Array, is_planted: Flags, touching: Sequence[tuple[int, int, Flags]], floor: float) -> Array:
-    """Return the corrections of the paths (frame, person, 3): squared steps of planted feet + stiffness + hold, least.
+    """Return the corrections of the paths (frame, person, 3) that minimise squared steps of planted feet.
 
-    Two people who touch are also held to the same correction, and upwards planted feet are drawn to the floor.
+    Stiffness and hold are added as costs.  Two people who touch are also drawn to the same correction, and planted feet
+    to the height of the floor.
     """
     frames, people = feet.shape[:2]
     shift = np.zeros((frames, people, 3))
@@ -231,7 +232,7 @@ def _correct_paths(feet: Array, is_planted: Flags, touching: Sequence[tuple[int,
 
 
 def _targets(ankle: Array, is_planted: Flags, floor: float, rate_hz: float) -> Array:
-    """Return where a foot goes (frame, 3): still while planted, blended in and out, never below the floor."""
+    """Return the targets of a foot (frame, 3): still while planted, blended in and out, never below the floor."""
     frames = len(ankle)
     blend = max(1, round(BLEND_S * rate_hz))
     move, weight = np.zeros(ankle.shape), np.zeros((frames, 1))
@@ -260,7 +261,7 @@ def _targets(ankle: Array, is_planted: Flags, floor: float, rate_hz: float) -> A
 
 
 def _runs(values: Flags) -> list[tuple[int, int]]:
-    """Return first and last + 1 of every run of true values."""
+    """Return start and stop (exclusive) of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], values, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -268,12 +269,12 @@ def _runs(values: Flags) -> list[tuple[int, int]]:
 def clean_reconstructions(
     people: Sequence[ReconstructedTrack], origin_m: Array, camera: DatabaseCamera
 ) -> list[ReconstructedTrack]:
-    """Return the reconstructions of a sequence's people after clean-up, standing ankles at the height of the floor.
+    """Clean up the reconstructed people of a sequence; standing ankles end at the height of the floor.
 
     Args:
         people: At least one; camera axes.
         origin_m: Origin of the sequence's frame, see `floor_offset`; its height is the floor (3,), camera axes.
-        camera: The database's camera, whose pitch says where up is.
+        camera: The database's camera, whose pitch gives the upright axis.
     """
     upright = camera.camera_from_upright_rotmat
     tracks = [person.track for person in people]

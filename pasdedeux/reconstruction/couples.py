@@ -1,7 +1,7 @@
-"""Two people who move together: how far apart in depth the pairs of a database are that look like both.
+"""The depth between two people who move together, by pairs of a database that look like both.
 
-With one camera the distance of a person follows from the size in the image, so errors of body size and lens become
-errors of the depth between two people.  A pair of the database that looks like the two tells that depth, whatever the
+With one camera, the distance of a person follows from the size in the image, so errors of body size and lens become
+errors of the depth between two people.  Pairs of the database that look like the two show that depth, whatever the
 lens.
 """
 
@@ -25,26 +25,26 @@ from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.skeletons import OP14
 
 _NUM_CANDIDATES = 20
-"""Pairs that are compared per frame."""
+"""Number of pairs compared per frame."""
 _MISFIT_M = 0.02
-"""Pairs whose image is this much worse than the best count 1/e."""
+"""Pairs whose image is this much worse than the best have weight 1/e."""
 _DEVIATION_PER_MISFIT = 2.0
 """Standard deviation of a pair's depth over the misfit of its image."""
 _MIN_DEVIATION_M = 0.03
 """Smallest standard deviation of a pair's depth."""
 _MAX_APART_M = 1.5
-"""Frames in which the two are further apart in the image are excluded."""
+"""Largest distance of the two in the image; frames beyond are excluded."""
 
 
 @dataclass(frozen=True)
 class PairDepth:
-    """How much nearer the second of two people is than the first, along the ray between, by pairs of a database.
+    """How much nearer one of two people is than the other, along the ray to their middle, by pairs of a database.
 
     Args:
         people: Numbers of the two.
-        frames: Frames of the sequence that both are in (frame,).
-        depth_m: (frame,).
-        deviation_m: Standard deviation of it (frame,), inf if no pair tells.
+        frames: Frames of the sequence with both (frame,).
+        depth_m: How much nearer the second person is (frame,).
+        deviation_m: Its standard deviation (frame,), inf without a pair.
     """
 
     people: tuple[int, int]
@@ -56,12 +56,12 @@ class PairDepth:
 def pair_depths(
     pairs_m: npt.NDArray[np.floating], database: Database, people: Sequence[tuple[Matches, ReconstructedTrack]]
 ) -> list[PairDepth]:
-    """Return what pairs that look like both say of the partners among people, in frames that show them near each other.
+    """Return the depths between partners by pairs that look like both, in frames that show them near each other.
 
     Args:
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
-        database: What people were matched to, at the pitch of the camera.
-        people: Matches and reconstruction of each.
+        database: Database of the matches, at the pitch of the camera.
+        people: Matches and reconstruction of each person.
     """
     number: dict[int | None, int] = {track.person_id: at for at, (_, track) in enumerate(people)}
     partners = [number.get(track.track.partner_id, -1) for _, track in people]
@@ -106,7 +106,7 @@ def _depth(
 
 
 def _depths_of_images(pairs: Database, index: ProjectionIndex, query_m: Array, weights: Array) -> tuple[Array, Array]:
-    """Return how much nearer person 1 is than person 0 by the pairs that look alike, and the deviation of that.
+    """Return how much nearer person 1 is than person 0 by pairs that look alike, and the standard deviation.
 
     Args:
         pairs: The pairs, parallel rays.
@@ -115,7 +115,7 @@ def _depths_of_images(pairs: Database, index: ProjectionIndex, query_m: Array, w
         weights: (frame, person, 14).
 
     Returns:
-        Depth and standard deviation (frame,), metres; the latter is inf where nothing was found.
+        Depth and standard deviation (frame,), metres; the latter is inf where no pair was found.
     """
     matches, is_exchanged = search_pairs(index, query_m, weights, num_neighbours=_NUM_CANDIDATES)
     row, distance = matches.row, matches.distance_m

@@ -1,10 +1,10 @@
-"""Depth of every bone from its image and the candidates of a search: which way it points, and how far.
+"""Depth of every bone from its image and the candidates of a search.
 
-A bone of known length shows how far it leaves the image plane, |dz| = sqrt(L^2 - |dxy|^2), but not to which side.
-The candidates vote: for each group of bones (trunk, arms, legs) and each choice of signs s, the likelihood of a frame
-is the kernel density of the candidates' depths at s |dz|, weighted by how well they match the image; Viterbi over time
-lets a sign change only where |dz| is small enough to pass through zero.  A group has all its signs at once, because
-hips and shoulders turn together and a knee bends one way.
+The image of a bone of known length shows how far it leaves the image plane, |dz| = sqrt(L^2 - |dxy|^2), but not to
+which side.  The candidates vote: for each group of bones (trunk, arms, legs) and each choice of signs s, the likelihood
+of a frame is the kernel density of the candidates' depths at s |dz|, weighted by how well they match the image.
+Viterbi over time lets a sign change only where |dz| is small enough to pass through zero.  The signs of a group are
+chosen together, because hips and shoulders turn together and a knee bends one way.
 """
 
 from __future__ import annotations
@@ -36,30 +36,30 @@ _GROUP_SIZES = np.array([len(group) for group in _SIGN_GROUPS])
 _FIRST_JOINT = np.concatenate([[0], np.cumsum(_GROUP_SIZES)])
 _FIRST_STATE = np.concatenate([[0], np.cumsum(2**_GROUP_SIZES)])
 _NUM_SIGN_STATES = int(_FIRST_STATE[-1])
-"""Choices of signs of all groups of bones together, one group after the other."""
+"""Number of choices of signs of all groups; states list one group after the other."""
 
 _MIN_WEIGHT = 1e-12
 _MISFIT_M = 0.02
-"""Candidates whose image is this much worse than the best count 1/e."""
+"""Candidates whose image is this much worse than the best have weight 1/e."""
 _KERNEL_M = 0.03
-"""Width of the kernel over depths; chosen on clips of a database, each excluded in turn."""
+"""Width of the kernel over depths, chosen by leave-one-out on clips of a database."""
 _SPEED_M_S = 0.7
 """Standard deviation of the speed of a bone's end in depth."""
 _FLOOR = 1e-4
-"""Share of the votes that is spread over all signs, so that none is impossible."""
+"""Share of the votes given to every choice of signs, so that none is impossible."""
 
 
 @dataclass(frozen=True)
 class SignStep:
-    """A frame of the choice of signs over time.
+    """One frame in the choice of signs over time.
 
     Args:
         vectors_m: Bones of the candidates (k, 14, 3).
         log_weight: Log of the weight of each (k,).
         size_m: Size of each bone's depth by the image (14,).
         deviation_m: Its standard deviation (14,), infinite where an end is not seen.
-        cost: Least cost of coming to each choice of signs (state,), all groups one after the other.
-        back: The choice before that this is best come to from (state,).
+        cost: Least cost of a path to each choice of signs (state,), one group after the other.
+        back: Predecessor of each choice on that path (state,).
     """
 
     vectors_m: Array
@@ -88,13 +88,13 @@ def place_depths(observed_m: Array, depth_m: Array) -> Array:
 def vote_on_signs(
     before: SignStep | None, image_m: Array, candidates_m: Array, misfit_m: Array, *, noise_m: float, passed_s: float
 ) -> SignStep:
-    """Let the candidates of one frame vote.
+    """Let the candidates of one frame vote on the signs of depths.
 
     Args:
         before: The frame before; None for the first.
         image_m: Joints (14, 2), metres, in the proportions of the reference; NaN where not seen.
         candidates_m: Candidate poses (k, 14, 3), camera axes, reference proportions, metres.
-        misfit_m: How much worse than the best each matches (k,), metres; inf where there is none.
+        misfit_m: Distance of each candidate, less that of the best (k,), metres; inf where there is none.
         noise_m: Standard deviation of the joints.
         passed_s: Time since the frame before.
     """
@@ -114,25 +114,25 @@ def trace_signs(steps: Sequence[SignStep]) -> Array:
 
 
 def bones_by_votes(step: SignStep, sign: Array) -> tuple[Array, Array]:
-    """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
+    """Return each bone by the candidates of its sign (14, 3), and its depth by image and candidates (14,)."""
     return _prior_of_frame(step.size_m, step.deviation_m, sign, step.vectors_m, step.log_weight)
 
 
 def decode_depths(
     observed_m: Array, candidates_m: Array, misfit_m: Array, *, noise_m: float, rate_hz: float
 ) -> tuple[Array, Array]:
-    """Return the bones of a track as candidates and image say.
+    """Return the bones of a track by candidates and image.
 
     Args:
         observed_m: Joints in the image (frame, 14, 2), metres, reference proportions; NaN where not seen.
         candidates_m: Candidate poses (frame, k, 14, 3), camera axes, reference proportions, metres.
-        misfit_m: How much worse than the best each candidate matches (frame, k), metres; inf where there is none.
+        misfit_m: Distance of each candidate, less that of the best (frame, k), metres; inf where there is none.
         noise_m: Standard deviation of the observed joints.
         rate_hz: Frames per second.
 
     Returns:
-        Vector of each bone as the candidates of the same sign have it (frame, 14, 3), and depth of the bone that ends
-        in each joint (frame, 14), towards the camera positive; 0 for the root.
+        Vector of each bone by the candidates of the same sign (frame, 14, 3), and depth of the bone that ends in each
+        joint (frame, 14), towards the camera positive; 0 for the root.
     """
     steps: list[SignStep] = []
     for seen, candidates, misfit in zip(observed_m, candidates_m, misfit_m, strict=True):
@@ -144,9 +144,9 @@ def decode_depths(
 
 @compiled()
 def _vote_signs(image: Array, vectors: Array, log_weight: Array, noise: float) -> tuple[Array, Array, Array]:
-    """Return how deep each bone is by the image, and the log likelihood of each choice of signs by the candidates.
+    """Return the size of each bone's depth by the image (14,), its deviation, and the votes of the candidates.
 
-    The first are the size of each bone's depth (14,) and its standard deviation, infinite where an end is not seen.
+    The deviation is infinite where an end is not seen.  Votes are the log likelihood of each choice of signs (state,).
     """
     size, deviation = np.zeros(_JOINTS), np.empty(_JOINTS)
     deviation[:] = np.inf
@@ -184,10 +184,10 @@ def _vote_signs(image: Array, vectors: Array, log_weight: Array, noise: float) -
 def _extend_signs(
     old_cost: Array, old_size: Array, old_deviation: Array, size: Array, deviation: Array, score: Array, moved: float
 ) -> tuple[Array, Integers]:
-    """Return the cost of each choice of signs of a new frame, and the choice before that it is best come to from.
+    """Return the least cost of each choice of signs of a new frame, and its predecessor on the best path.
 
-    What it costs a bone to change sign is how much further its end moves when it flips, |a + b|^2 - |a - b|^2 = 4 a b;
-    `moved` is what the end moves in depth between the frames.
+    A change of sign costs how much further the end of the bone moves when it flips, |a + b|^2 - |a - b|^2 = 4 a b;
+    `moved` is the usual motion of the end in depth between the frames.
     """
     cost, back = np.empty(_NUM_SIGN_STATES), np.zeros(_NUM_SIGN_STATES, dtype=np.int64)
     change = np.empty(1 << _GROUP_SIZES.max())
@@ -209,14 +209,14 @@ def _extend_signs(
                     least, best = total, before
             cost[first + state] = least - score[first + state]
             back[first + state] = best
-        # Only differences count; without this a long night would eat the digits.
+        # Only differences count; without this, costs of long videos would lose digits.
         cost[first : first + (1 << bones)] -= cost[first : first + (1 << bones)].min()
     return cost, back
 
 
 @compiled()
 def _trace_signs(cost: Array, back: Integers) -> Array:
-    """Return sign of each bone's depth (n, 14) by the best path to the last frame, whose choices cost `cost`."""
+    """Return the sign of each bone's depth (n, 14) on the best path to the last frame, whose choices cost `cost`."""
     count = back.shape[0]
     sign = np.ones((count, _JOINTS))
     for group in range(_GROUP_SIZES.shape[0]):
@@ -233,7 +233,7 @@ def _trace_signs(cost: Array, back: Integers) -> Array:
 def _prior_of_frame(
     size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array
 ) -> tuple[Array, Array]:
-    """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
+    """Return each bone by the candidates of its sign (14, 3), and its depth by image and candidates (14,)."""
     mean, depth = np.zeros((_JOINTS, 3)), np.zeros(_JOINTS)
     share = np.empty(vectors.shape[0])
     for joint in _ORDER:
@@ -254,7 +254,7 @@ def _prior_of_frame(
         for axis in range(3):
             mean[joint, axis] /= total
         if is_seen:
-            # The image says how deep where it is sharp, the candidates where the bone lies in the image.
+            # The image determines depths that it shows sharply; candidates determine those of bones in the image plane.
             by_image, by_votes = 1.0 / max(2.0 * spread, 1e-4) ** 2, 1.0 / (_KERNEL_M * _KERNEL_M)
             depth[joint] = (signed * by_image + mean[joint, 2] * by_votes) / (by_image + by_votes)
         else:

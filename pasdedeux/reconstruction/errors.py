@@ -12,9 +12,9 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
 
 _STANDING_M = 0.05
-"""Height over its lowest true position below which an ankle counts as standing."""
+"""An ankle within this height of its lowest true position may count as standing."""
 _STILL_M_S = 0.2
-"""Speed below which a true ankle counts as standing."""
+"""A true ankle slower than this may count as standing."""
 
 
 def _centred(positions_m: Array) -> Array:
@@ -29,7 +29,7 @@ def _without_root_rotation(centred_m: Array) -> Array:
 
 
 def root_centred_error_m(found_m: Array, true_m: Array) -> Array:
-    """Return the mean joint distance (*batch,) of op14 poses (*batch, 14, 3): mid-hips together, root rotation kept."""
+    """Return the mean joint distance (*batch,) of op14 poses (*batch, 14, 3): mid-hips aligned, root rotation kept."""
     return np.asarray(np.linalg.norm(_centred(found_m) - _centred(true_m), axis=-1).mean(axis=-1))
 
 
@@ -43,9 +43,9 @@ def root_removed_error_m(found_m: Array, true_m: Array) -> Array:
 
 
 def scale_free_error_m(found_m: Array, true_m: Array) -> Array:
-    """Return root-centred error (frame,) after one scale for the whole track that fits best, in metres of the truth.
+    """Return the root-centred error (frame,) after the best scale for the whole track, in metres of the truth.
 
-    One camera does not see how large a person is, so the size of a body is no part of this error.
+    One camera does not show how large a person is, so this error excludes the size of the body.
     """
     made, true = _centred(found_m), _centred(true_m)
     power = float(np.sum(made**2))
@@ -64,8 +64,7 @@ def jitter_m(positions_m: Array) -> float:
 def foot_slide_m(found_m: Array, true_m: Array, *, rate_hz: float) -> float:
     """Return the mean horizontal displacement of standing ankles per frame; 0 if they never stand.
 
-    Frames are those in which the true ankles stand, the same for all methods: a motion that wobbles or sinks would
-    otherwise choose its own.
+    It is taken over the frames in which the true ankles stand, so that all methods are compared over the same frames.
 
     Args:
         found_m: op14 positions (frame, 14, 3), upright axes, with the root's motion; NaN frames do not count.

@@ -1,8 +1,8 @@
-"""People on the floor: poses of a database laid down, for those whose back is not upright in the image.
+"""People on the floor: poses of a database laid down, for people whose back is not upright in the image.
 
-Capture is mostly of people on their feet.  Who lies, or stands on hands and feet, bends the joints as others do who
-stand, reach or step: their poses are those of a database turned down on the belly or the back.  What bears them tells
-which are possible: on the belly anything may bear, on the back the trunk does, so that no limb is far below it.
+Capture mostly shows people on their feet.  People who lie, or stand on hands and feet, bend their joints as standing
+people do who reach or step.  So their poses are taken from a database, turned down onto the belly or the back.  On the
+belly, any part may bear the body; on the back the trunk does, so poses with a limb far below it are excluded.
 """
 
 from __future__ import annotations
@@ -21,41 +21,41 @@ from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
 _UPRIGHT = float(np.cos(np.deg2rad(30.0)))
-"""Backs of people who stand are as near to the image's vertical."""
+"""Smallest cosine between the back of a standing person and the vertical of the image."""
 _LEG_RANGE = (1.1, 2.6)
-"""Height of mid-hip over the lower ankle in the image, as a multiple of the back's length: of who stands."""
+"""Height of the mid-hip over the lower ankle of a standing person in the image, as a multiple of the back's length."""
 _MIN_BACK = 0.7
-"""The back's length over the width of the shoulders: of who does not lie towards the camera."""
+"""Smallest length of the back over the width of the shoulders of a person who does not lie towards the camera."""
 
 _MAX_UPRIGHT = 0.3
-"""Whose back is upright in a larger part of the frames is not looked for on the floor: 0.10 at most of 13 who do
-push-ups, 0.40 at least of 271 who stand, climb, bow, or wash (clips of `benchmarks.families`)."""
+"""Largest share of frames with an upright back for a person on the floor: at most 0.10 for 13 people who do push-ups,
+at least 0.40 for 271 who stand, climb, bow or wash (clips of `benchmarks.families`)."""
 _MAX_PROJECTIONS = 600_000
-"""Projections of poses laid down that are looked through, at most: an even choice."""
+"""Largest number of projections of lying poses to search, evenly chosen."""
 ON_BELLY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns somebody who faces +Z and stands down on the belly, head towards +Z; the transpose lays him on his back."""
+"""Rotation of a standing person who faces +Z down onto the belly, head towards +Z; the transpose: onto the back."""
 _MAX_BELOW_M = 0.08
-"""Limbs are no further below the trunk of somebody on the back: both are on the floor, joints of the trunk by half the
-depth of a chest (0.115 m), of limbs by the radius of a wrist (0.034 m; see `plausibility.capsules`)."""
+"""Largest depth of limbs below the trunk of a person on the back.  Both are on the floor: joints of the trunk half the
+depth of a chest above it (0.115 m), those of limbs the radius of a wrist (0.034 m; see `plausibility.capsules`)."""
 _ANKLES, _SHOULDERS = (OP14.indices([f"left_{name}", f"right_{name}"]) for name in ("ankle", "shoulder"))
 _TRUNK = OP14.indices([f"{side}_{name}" for name in ("hip", "shoulder") for side in ("left", "right")])
 
 
 def stands(track: Track) -> Flags:
-    """Return the frames in which a person visibly stands: back upright in the image, legs below it."""
+    """Tell in which frames a person visibly stands: back upright in the image, legs below it (frame,)."""
     is_upright, legs = _back_and_legs(track)
     return is_upright & (legs > _LEG_RANGE[0]) & (legs < _LEG_RANGE[1])
 
 
 def is_on_floor(track: Track) -> bool:
-    """Return whether a person's back is hardly ever upright; False without back and legs in the image."""
+    """Tell whether the back of a person is hardly ever upright; False if back and legs are never seen."""
     is_upright, legs = _back_and_legs(track)
     is_seen = np.isfinite(legs)
     return bool(is_seen.any()) and float(is_upright[is_seen].mean()) < _MAX_UPRIGHT
 
 
 def _back_and_legs(track: Track) -> tuple[Flags, Array]:
-    """Return whether the back is upright, and how far legs reach down as a multiple of it (frame,), NaN if not seen."""
+    """Return whether the back is upright, and how far legs reach below it over its length (frame,), NaN if not seen."""
     keypoints_px = np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan)
     hips, neck = mid_hip(keypoints_px), keypoints_px[:, OP14.root]
     back = np.linalg.norm(hips - neck, axis=-1)

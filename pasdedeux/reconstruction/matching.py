@@ -1,4 +1,4 @@
-"""From a track of 2D keypoints to candidates: a database made ready, scale and place of the person, search."""
+"""Match a track of 2D keypoints to a database: estimate scale and place of the person, and search candidates."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 MIN_JOINTS = 4
-"""Frames that show fewer joints are bridged."""
+"""Frames that show fewer joints are interpolated."""
 _NUM_PLACEMENTS = 4
-"""Rounds of search in which scale and place are refined."""
+"""Rounds of search; each one but the last refines scale and place."""
 _SCALE_WINDOW_S = 1.5
 """Length of the window over which the median of a track's scale is taken."""
 _MODEL_ERROR_M = 0.012
-"""Residual in the image of estimated proportions, scale and lens if keypoints are exact."""
+"""Residual in the image that estimated proportions, scale and lens leave, even with exact keypoints."""
 
 
 class Method(StrEnum):
-    """The choice of a candidate for each frame, and its further processing."""
+    """How a candidate is chosen for each frame, and processed further."""
 
     NEAREST = "nearest"
     PUBLISHED = "published"
@@ -42,7 +42,7 @@ class Method(StrEnum):
 
 
 class ReconstructionOptions(Settings):
-    """How a track is reconstructed."""
+    """Settings of the reconstruction of a track."""
 
     num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
@@ -57,7 +57,7 @@ class ReconstructionOptions(Settings):
 
 @dataclass(frozen=True)
 class Searcher:
-    """A database made ready for search under one camera."""
+    """A database prepared for search under one camera."""
 
     database: Database
     index: ProjectionIndex
@@ -65,7 +65,7 @@ class Searcher:
     published: PublishedIndex | None = None
     """Index of the method `published`; None where the database has no clusters."""
     source_row: Integers | None = None
-    """Row of the database that each pose comes from (row,), if some are laid down, see `lying`."""
+    """Row of the original database for each pose (row,), if poses were laid down; see `lying`."""
 
     @classmethod
     def of(cls, database: Database, clusters: Clusters | None = None) -> Searcher:
@@ -79,7 +79,7 @@ class Searcher:
         return tuple(method for method in Method if method is not Method.PUBLISHED or self.published is not None)
 
     def pitched(self, pitch_rad: float) -> Searcher:
-        """Return the same poses before a camera of this pitch."""
+        """Return a searcher of the same poses for a camera of another pitch."""
         camera = replace(self.database.camera, pitch_rad=pitch_rad)
         if camera == self.database.camera:
             return self
@@ -89,13 +89,13 @@ class Searcher:
 
 @dataclass(frozen=True)
 class Matches:
-    """What a search found for a track.
+    """Result of the search for a track.
 
     Args:
         neighbours: Candidates (frame, k).
         query_m: Joints of each frame (frame, 14, 2), metres about the mid-hip, own proportions; NaN where not seen.
-        weights: Weights (frame, 14) of the joints; all 0 in frames to be bridged.
-        placement: Scale and place searched with; pixels with y up about the principal point, rays straightened.
+        weights: Weights (frame, 14) of the joints; all 0 in frames to interpolate.
+        placement: Scale and place used in the search; pixels with y up about the principal point, rays straightened.
         towards_camera: Unit direction (frame, 3) from the mid-hip to the camera, camera axes.
         proportions: Length of each bone (14,) as a multiple of the reference body's.
         yaw_steps: Yaw of each candidate (frame, k) in steps of the database.
@@ -111,10 +111,10 @@ class Matches:
 
 
 def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions | None = None) -> Matches:
-    """Place a track and find each frame's candidates.
+    """Estimate scale and place of a track, and find the candidates of each frame.
 
-    Rays are straightened first, as if the camera were turned towards the person: the database's camera looks straight
-    at the body.
+    Rays are straightened first, as if the camera turned to the person, because the database's camera looks straight at
+    the body.
 
     Raises:
         InputError: No frame shows `MIN_JOINTS` joints, or its size cannot be estimated.
@@ -141,19 +141,19 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
             matched = _projection_of(searcher.database, neighbours)
             if options.has_own_proportions:
                 proportions = estimate_proportions(image_m, weights, matched)
-                # Dividing by the inverse stretches the match to the person, so that scale is judged like by like.
+                # Dividing by the inverse gives the match the proportions of the person, so that both scales compare.
                 matched = retarget_image(matched, 1.0 / proportions)
             placement = refine_placement(
                 straight, weights, matched, window=window, previous=placement, metres_per_pixel=scale
             )
-    # The steps of the database are coarse: each candidate is turned to the image, and the order is by what is left.
+    # Yaw steps of the database are coarse: refine the yaw of each candidate, and sort by the distances that remain.
     neighbours, yaw_steps = refine_yaws(searcher.database, neighbours, retarget_image(image_m, proportions), weights)
     query = np.where(weights[..., None] > 0, image_m, np.nan)
     return Matches(neighbours, query, weights, placement, towards, proportions, yaw_steps)
 
 
 def odd_window(seconds: float, rate_hz: float) -> int:
-    """Return an odd number of frames of about this length, at least 3."""
+    """Return an odd number of frames, at least 3, that last about as long."""
     return max(3, round(seconds * rate_hz)) | 1
 
 

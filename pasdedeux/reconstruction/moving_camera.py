@@ -1,6 +1,6 @@
-"""Whether a camera moves, told from keypoints alone: then everybody moves alike in the image, and no foot stands still.
+"""Detect a moving camera from keypoints: all joints move alike in the image, and no foot stands still.
 
-A moving camera that is not known is taken for motion of the people: their feet leave the floor.
+If the motion of a camera is unknown, it is taken for motion of the people, and their feet leave the floor.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
 _STEP_S = 0.2
-"""Time over which displacements are taken."""
+"""Time between the two frames of a displacement."""
 _MIN_SPEED = 0.1
-"""Every ankle that is seen is faster, body heights per second: noise of 3 px at people of 500 px comes to 0.06."""
+"""Slowest speed of an ankle before a moving camera, body heights per second; noise of 3 px on people of
+500 px is 0.06."""
 _ALIKE, _MIN_ALIKE = 0.5, 0.6
-"""A joint moves like the others if it is off their median displacement by less than this part of it; share of the
-joints that do."""
+"""A joint moves like the others if it differs from their median displacement by less than the first, as a part of that
+displacement; the second is the share of the joints that must."""
 _MAX_SHARE = 0.2
-"""Share of the frames in which everybody moves alike: at most 0.06 in 26 clips of two people and walkers before a still
-camera, and 0.25 or more of the same before one that pans by 29 degrees or shakes by 7 % of a person's height."""
+"""Largest share of frames in which everybody moves alike before a still camera: at most 0.06 in 26 clips of two people
+and of walkers, and 0.25 or more in the same clips if the camera pans by 29 degrees or shakes by 7 % of a person's
+height."""
 _MIN_JUDGED_S = 0.5
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
@@ -60,7 +62,7 @@ def share_alike(tracks: Sequence[Track]) -> float:
 def subtract_motion(tracks: Sequence[Track], motion: CameraMotion | None) -> tuple[list[Track], bool]:
     """Return tracks in the steady image of a camera that moves, and whether its motion was subtracted.
 
-    It is not subtracted if feet then slide more than before: cameras that move around people are not supported.
+    It is not subtracted if feet would then slide more: cameras that move around people are not supported.
     """
     if motion is None or not tracks:
         return [*tracks], False

@@ -1,7 +1,7 @@
 """Ambiguous videos: a person who may lie before a steep camera, and an implausible camera.
 
-A person who lies with the feet to the camera looks like one who stands, and the pitch was chosen for that.  So the
-matches are compared with poses laid down, by the distance of the nearest projections.
+A person who lies with the feet towards the camera looks like a standing person, and the pitch was chosen accordingly.
+So matches are compared with lying poses, by the distance of the nearest projections.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from pasdedeux.reconstruction.scene import SceneEstimate
 from pasdedeux.reconstruction.tracks import Track
 
 _STEEP_RAD, _LIES, _STANDS, _LIES_SURELY = float(np.deg2rad(15.0)), 1.2, 1.4, 0.7
-"""Before a camera that looks down by more, somebody who lies with the feet to it looks upright.  Distances of poses
-laid down, as multiples of the match's: up to 1.2 over the track both may be right (1.0 of one who lies so, 1.4 and more
-of 30 who stand), unless a second of it is at 1.4 or more, which shows somebody who stands.  A second at 0.7 or less
-shows somebody who lies then: 0.09 to 0.59 of eight walkers laid down for the last third, 0.74 and more of 28 clips of
-people on their feet."""
+"""Before a camera that looks down by more, a person who lies with the feet towards it looks upright.  Limits of the
+ratio of distances, lying poses over matches.  Up to 1.2 over the track, both may be right (1.0 for one person who lies
+so, 1.4 and more for 30 who stand), unless the ratio reaches 1.4 within some second: then the person stands.  At 0.7 or
+less within a second, the person lies: 0.09 to 0.59 for eight walkers laid down for the last third, 0.74 and more for 28
+clips of people on their feet."""
 _MIN_LENS, _MIN_HEIGHT_M = 0.5, 0.45
-"""Hardly any lens is as wide over the assumed, and hardly any camera stands as low: of 90 clips before cameras that
-look up by 8 degrees at most, one, whose camera was below the floor."""
+"""Smallest plausible focal length over the assumed one, and height of a camera.  Of 90 clips before cameras that look
+up by 8 degrees at most, one is below: its camera was found under the floor."""
 _NUM_PROJECTIONS, _STRIDE = 200_000, 5
-"""Projections and every so many frames that are compared."""
+"""Number of projections, and stride over the frames, that are compared."""
 
 
 def seen_otherwise(searcher: Searcher, matched: Sequence[tuple[Track, Matches]]) -> dict[int, str]:
-    """Return what each person's image may show as well, in words by person id, where that is as near.
+    """Return warnings by person id: the image may show a lying person just as well.
 
     Args:
-        searcher: Database of the matches, without poses laid down.
-        matched: Tracks, and what was found for them; tracks of people on the floor are left alone.
+        searcher: Database of the matches, without lying poses.
+        matched: Tracks and their matches; tracks of people on the floor are not judged.
     """
     upright = [(track, matches) for track, matches in matched if not is_on_floor(track)]
     if not upright or searcher.database.camera.pitch_rad <= _STEEP_RAD:
@@ -52,9 +52,9 @@ def seen_otherwise(searcher: Searcher, matched: Sequence[tuple[Track, Matches]])
 
 
 def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_given: bool) -> str:
-    """Say that the camera of a scene is implausible, such as just above the floor; empty if it is not.
+    """Return a warning if the camera of a scene is implausible, such as just above the floor, else an empty text.
 
-    A camera below the floor may be there, before a stage.
+    A camera below the floor is plausible, because it may stand before a stage.
     """
     is_odd = scene.lens_factor < _MIN_LENS and not is_lens_known
     if not is_odd and (not 0.0 <= scene.camera_height_m <= _MIN_HEIGHT_M or is_height_given):
@@ -66,12 +66,12 @@ def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_give
 
 
 def may_lie(laid_m: Array, upright_m: Array, *, frames_per_s: float) -> bool:
-    """Return whether a person who was matched upright may lie.
+    """Tell whether a person who was matched to upright poses may lie.
 
     Args:
-        laid_m: Distances of the nearest poses laid down (frame,), metres.
+        laid_m: Distances of the nearest lying poses (frame,), metres.
         upright_m: Distances of the matches (frame,), metres.
-        frames_per_s: Compared frames in a second.
+        frames_per_s: Compared frames per second.
     """
     if not len(laid_m) or not np.median(upright_m) > 0:
         return False
@@ -82,7 +82,7 @@ def may_lie(laid_m: Array, upright_m: Array, *, frames_per_s: float) -> bool:
 
 
 def _distances_m(other: Searcher, track: Track, matches: Matches) -> tuple[Array, Array]:
-    """Return the distances of what another searcher finds and of what was found (frame,), in every fifth frame."""
+    """Return the distances of the matches of another searcher, and of the known ones (frame,), in every fifth frame."""
     try:
         laid_m = match_track(other, track.every(_STRIDE)).neighbours.distance_m[:, 0]
     except InputError:

@@ -1,4 +1,4 @@
-"""From tracks of one video to the motion of its people before one camera: match, fit, place, embody, clean up."""
+"""Reconstruct the people of one video before one camera: match, fit, place, give them bodies, clean up."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from pasdedeux.reconstruction.sizes import sized_by_height, sized_by_stature, st
 from pasdedeux.reconstruction.tracks import Track
 
 _OTHER_PITCH_RAD, _PITCHES_RAD = float(np.deg2rad(5.0)), (float(np.deg2rad(-35.0)), float(np.deg2rad(50.0)))
-"""Poses are matched again if the scene's pitch differs by more from that of the search, within this range."""
+"""Smallest difference between the pitches of scene and search for a second match, and the range of its pitch."""
 
 
 @dataclass(frozen=True)
 class SequenceOptions:
-    """How the people of a video are reconstructed.
+    """Settings of the reconstruction of people.
 
     Args:
-        methods: Each gives a motion; the last one is cleaned up and gives the motions that are written.
-        has_clean_up: Planted feet are stilled and the floor is kept.
-        statures_m: Stature by person id, where it is known; sets the sizes of the others, too.
+        methods: Each gives a motion; that of the last is cleaned up and written.
+        has_clean_up: Keep planted feet still and people above the floor.
+        statures_m: Known statures by person id; they also set the sizes of the others.
     """
 
     methods: Sequence[Method] = (Method.FIT,)
@@ -51,8 +51,8 @@ class MethodMotions:
     Args:
         name: The method; `<method>_clean` after the clean-up.
         people: Their tracks, camera axes.
-        origin_m: What to subtract (3,) to have all of them in the sequence's own frame, see `floor_offset`.
-        bodies: The whole body of each, upright axes in that frame.
+        origin_m: Origin of the sequence's own frame (3,), to subtract from positions, see `floor_offset`.
+        bodies: The whole body of each person, upright axes in that frame.
     """
 
     name: str
@@ -67,13 +67,13 @@ class ReconstructedPeople:
 
     Args:
         methods: In the order asked for, then the clean-up of the last one.  Empty if nobody could be matched.
-        motions: Motions of the last by person id, upright, floor at 0: all have the same frames.
-        skipped: Why a person could not be reconstructed, by person id.
-        pitch: The pitch of the camera, which says where up is.
+        motions: Motions of the last method by person id, upright, floor at 0, all over the same frames.
+        skipped: Reasons, by person id, why people could not be reconstructed.
+        pitch: The pitch of the camera, which gives the upright axis.
         scene: Camera, sizes and root paths; None if only the baseline was asked for.
-        doubts: Contradictions between what is stated, and a camera found below the floor.
-        otherwise: What the image of a person may show as well, by person id, see `otherwise`.
-        has_stature: The stature of one of them is stated, without contradiction.
+        doubts: Warnings: contradictory statements, or a camera found below the floor.
+        otherwise: Warnings about ambiguous images by person id, see `otherwise`.
+        has_stature: Whether the stature of somebody is stated, without contradiction.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -92,9 +92,9 @@ class ReconstructedPeople:
 
     @property
     def camera(self) -> PinholeCamera:
-        """The camera that sees the motions, in their frame: upright, soles at y = 0.
+        """The camera in the frame of the motions: upright, soles at y = 0.  For film, that of the steady image.
 
-        Of film its image is the steady one.  There must be a method.
+        There must be at least one method.
         """
         made, rotmat = self.methods[-1], self.camera_from_upright_rotmat
         lens = made.people[0].track.lens
@@ -109,7 +109,7 @@ class ReconstructedPeople:
 
     @property
     def camera_facts(self) -> dict[str, Array]:
-        """The camera as files of motion have it, by name."""
+        """Values of the camera by name, as files of motion store them."""
         camera = self.camera
         return {
             "camera_position_m": camera.position_m,
@@ -131,21 +131,21 @@ def reconstruct_people(
 ) -> ReconstructedPeople:
     """Reconstruct the people of one video by every method, in one frame, and clean up the last.
 
-    Camera, sizes and places are one estimate, see `scene`, from the poses of the last method but the baseline
-    `nearest`, which leaves everybody at the distance of their own size.
+    Camera, sizes and places are estimated jointly, see `scene`, from the poses of the last method other than the
+    baseline `nearest`, which leaves every person at the distance that follows from their size.
 
-    If the pitch of the scene is far from that of the search, poses are matched again under that pitch, and those nearer
-    to the image are kept.  The first pitch remains the prior: with the pitch of the first scene, floor and sizes would
-    count twice.
+    If the pitch of the scene differs much from that of the search, poses are matched again under the new pitch, and the
+    result nearer to the image is kept.  The first pitch remains the prior: with the pitch of the first scene, floor and
+    sizes would count twice.
 
     Args:
-        searcher: Database made ready.
+        searcher: Prepared database.
         tracks: Tracks of people whose identities are resolved.
         options: Methods, clean-up and statures.
-        pitch: Estimate of the camera's pitch; that of the searcher counts as stated.
-        camera_height_m: Height of the camera over the floor where it is known, which sets people's sizes.
+        pitch: Estimate of the camera's pitch; by default that of the searcher, as if stated.
+        camera_height_m: Height of the camera over the floor, if known; it sets the sizes of people.
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
-        on_step: Called when a track is matched, and when a method has made its motion.
+        on_step: Called after each track is matched, and after each method.
     """
     options = options or SequenceOptions()
     pitch = pitch or PitchEstimate(searcher.database.camera.pitch_rad)
@@ -162,7 +162,7 @@ def reconstruct_people(
 
 
 def _is_nearer(people: ReconstructedPeople, others: ReconstructedPeople) -> bool:
-    """Tell whether matches are nearer to the image, in the mean over the people that both have."""
+    """Tell whether the matches of `people` are nearer to the image, on average over the people in both results."""
     distances = [
         {track.person_id: float(np.nanmedian(track.score_m)) for track in found.methods[-1].people}
         for found in (people, others)
@@ -183,7 +183,7 @@ def _before_camera(
     pairs_m: npt.NDArray[np.floating] | None,
     on_step: Callable[[], None],
 ) -> ReconstructedPeople:
-    """Reconstruct tracks with the poses that match before one camera; see `reconstruct_people`."""
+    """Reconstruct tracks with the matches under one pitch; see `reconstruct_people`."""
     database = searcher.database
     matched, skipped = _match(searcher, tracks, on_step)
     by_method: dict[Method, tuple[ReconstructedTrack, ...]] = {}
@@ -217,7 +217,7 @@ def _before_camera(
                 "(--height, in a study camera_height_m)"
             )
         if not pitch.is_given:
-            # The estimates by poses and by the floor are not independent: half of their difference is doubt.
+            # The estimates by poses and by the floor are not independent: half of their difference counts as deviation.
             doubt_rad = float(np.hypot(scene.pitch_deviation_rad, 0.5 * scene.pitch_off_rad))
             pitch = replace(pitch, pitch_rad=scene.pitch_rad, deviation_rad=doubt_rad)
             camera = replace(camera, pitch_rad=scene.pitch_rad)
@@ -242,14 +242,14 @@ def place_people(
     database: Database,
     options: SequenceOptions,
 ) -> ReconstructedPeople:
-    """Return people whom other cameras see as well, at the places and in the poses that all cameras tell.
+    """Return people whom other cameras see too, in places and poses from all cameras.
 
     Args:
-        first: The people as the first camera alone tells them; there is a method and a scene.
-        people: Those of them that others see, with the poses of all, first camera's axes.
+        first: The people by the first camera alone; there must be a method and a scene.
+        people: Those of them whom others see, with the poses of all cameras, in axes of the first.
         pitch: Pitch of the first camera.
         lens_factor: Its focal length over the assumed one.
-        database: Poses that bodies are completed from.
+        database: Poses that complete the bodies.
         options: Clean-up.
     """
     assert first.scene is not None
@@ -275,7 +275,7 @@ def place_people(
 def _finished(
     name: str, people: tuple[ReconstructedTrack, ...], database: Database, camera: DatabaseCamera, *, is_cleaned: bool
 ) -> list[MethodMotions]:
-    """Return the motions of a method with bodies, and what the clean-up makes of them."""
+    """Return the motions of a method with bodies, and those after the clean-up."""
     origin_m = floor_offset(people, camera)
     made = [_embodied(name, people, origin_m, database, camera)]
     if is_cleaned:
@@ -287,7 +287,7 @@ def _finished(
 def _match(
     searcher: Searcher, tracks: Sequence[Track], on_step: Callable[[], None]
 ) -> tuple[list[tuple[Searcher, Matches, Track]], dict[int, str]]:
-    """Return tracks with their searchers and matches, and by person id why others could not be matched."""
+    """Return tracks with their searchers and matches, and reasons by person id why others could not be matched."""
     matched, skipped = [], {}
     for ready, track in zip(searchers_for(searcher, tracks), tracks, strict=True):
         try:
@@ -301,7 +301,7 @@ def _match(
 def _embodied(
     name: str, people: tuple[ReconstructedTrack, ...], origin_m: Array, database: Database, camera: DatabaseCamera
 ) -> MethodMotions:
-    """Give the people of a method their whole bodies."""
+    """Return the motions of a method with whole bodies."""
     upright = camera.camera_from_upright_rotmat
     bodies = []
     for person in people:

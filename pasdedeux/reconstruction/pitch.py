@@ -1,4 +1,4 @@
-"""Where up is: the pitch of a sequence's camera, and the floor its people stand on."""
+"""The pitch of a sequence's camera, and the floor on which its people stand."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
 _STRIDE, _FEW_FRAMES = 5, 8
-"""Every so many frames decide; of a short video as many as make so few."""
+"""Stride over the frames that are judged, and the number of frames below which a short video is not thinned."""
 _FLOOR_WEIGHT = 0.05
-"""Cost of a metre that standing feet leave the floor by, against a metre of misfit."""
+"""Cost of a metre between standing feet and the floor; a metre of misfit costs 1."""
 _MAX_FLOOR_M = 0.1
-"""More than this says only that the floor is wrong: how far away people are who come very near is badly known."""
+"""Largest deviation from the floor that counts: the distance of people who come very near is badly known."""
 
 _LENS_FACTORS = (0.8, 1.0, 1.25, 1.56)
-"""Focal lengths over the assumed one under which the floor may be flat: phones to short telephoto lenses."""
+"""Focal lengths to try, over the assumed one: from phones to short telephoto lenses."""
 
 _LEVEL_RAD, _STEEP_RAD = 0.0, float(np.deg2rad(30.0))
 _LOOKS_UP_RAD, _LOOKS_DOWN_RAD = float(np.deg2rad(5.0)), float(np.deg2rad(10.0))
-"""Cameras stand level to this steep, and deviate from that by so much: what they see has to say more."""
+"""Prior of the pitch: uniform from level to 30 degrees down, with these standard deviations beyond either end."""
 _FROM_BELOW = 0.05
-"""But cameras that look up by anything, from before a stage, have this density at least, over that of level ones."""
+"""Smallest density of a camera that looks up, as from before a stage, over that of a level camera."""
 _GRID_RAD, _BEYOND_RAD = float(np.deg2rad(0.5)), float(np.deg2rad(5.0))
-"""Pitches are compared so finely, from so far below the first camera tried to so far above the last."""
+"""Step between compared pitches, and how far they reach below the first pitch tried and above the last."""
 
 _LINES = tuple(OP14.indices([f"left_{name}", f"right_{name}"]) for name in ("hip", "shoulder"))
 _LINE_DEVIATION_M = np.array([0.02, 0.05])
-"""How far one end of the line between the hips, and of that between the shoulders, is above the other."""
+"""Standard deviation of the height of one end over the other, for the lines between the hips and the shoulders."""
 _SLOPE_DEVIATION = np.deg2rad([2.0, 4.0])
-"""What their slope errs by however long it is seen."""
+"""Standard deviation of the slopes of both lines that remains however long they are seen."""
 _ALIKE_S = 0.5
-"""Frames nearer in time than this err alike."""
+"""Errors of frames nearer in time than this are alike."""
 _MISFITS_PER_S, _MAX_MISFITS = 6.0, 25.0
-"""Independent misfits in a second, and at most: what a database lacks does not pass with time."""
+"""Number of independent misfits per second, and largest number: a pose that a database lacks stays wrong."""
 _COMMON_MISFIT_M = 0.02
-"""Misfits that any pose has; smaller ones say no more."""
+"""Misfit of any pose; smaller ones carry no information."""
 
 _MIN_STANDING = 3
-"""Frames in which somebody has to stand to have a say."""
+"""Smallest number of frames in which a person must stand to be judged."""
 
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
@@ -58,9 +58,9 @@ class PitchEstimate:
     """The pitch of a sequence's camera.
 
     Args:
-        pitch_rad: The pitch, between those of the cameras that were tried.
-        deviation_rad: Standard deviation of it; 0 where it was given.
-        is_guess: Nobody was seen standing, so that it is little more than what cameras mostly have.
+        pitch_rad: The pitch.
+        deviation_rad: Its standard deviation; 0 if it was stated.
+        is_guess: Whether nobody was seen standing, so that it is little more than the prior.
     """
 
     pitch_rad: float
@@ -69,33 +69,34 @@ class PitchEstimate:
 
     @property
     def is_given(self) -> bool:
-        """Tell whether it was stated, not estimated."""
+        """Whether the pitch was stated, not estimated."""
         return self.deviation_rad == 0.0
 
     def in_words(self) -> str:
-        """Say it."""
+        """Return the pitch in words."""
         deviation = "" if self.is_given else f" +- {np.rad2deg(self.deviation_rad):.1f}"
         return f"camera pitch {np.rad2deg(self.pitch_rad):.3g}{deviation} degrees"
 
 
 def choose_pitch(searchers: Iterable[Searcher], tracks: Sequence[Track]) -> PitchEstimate:
-    """Return the pitch at which searchers (one per camera pitch) suit the tracks of a sequence best.
+    """Return the pitch at which the searchers (one per camera pitch) fit the tracks of a sequence best.
 
-    The pitch does not change within a sequence.  Every fifth frame counts, if the person stands: back upright in the
-    image, legs stretched, feet below.  Crouching or carried people are excluded.  People on the floor are matched to
-    poses laid down as well, and only the mean distance of their matches counts.  If nobody stands, the estimate is a
-    guess.  The log likelihood sums over people
+    The pitch does not change within a sequence.  Every fifth frame counts if the person stands: back upright in the
+    image, legs stretched, feet below.  Crouching or carried people are excluded.  People on the floor are also matched
+    to lying poses, and only the mean distance of their matches counts.  If nobody stands, the estimate is a guess.
+
+    The log likelihood sums over people
 
     - the mean distance of the matches, plus `_FLOOR_WEIGHT` times the median deviation of the lower ankle from its
-      median height, up to a bound.  A person who comes nearer on a flat floor seems to sink or climb under a wrong
-      pitch, or a wrong focal length: if that is unknown, the best of several counts.  Unseen ankles are excluded;
+      median height, up to a bound.  Under a wrong pitch or focal length, a person who comes nearer on a flat floor
+      seems to sink or climb.  If the focal length is unknown, the best of several counts.  Unseen ankles are excluded;
     - the slopes of the lines between hips and between shoulders, which are level even if the person leans: before a
-      camera that looks down, the nearer end is lower in the image by the sine of the pitch.  The matched pose tells
-      how much nearer it is.
+      camera that looks down, the nearer end is lower in the image by the sine of the pitch.  The matched pose shows how
+      much nearer it is.
 
     Both are interpolated between the pitches of the searchers, and a little beyond.  The prior prefers cameras between
-    level and 30 degrees down; its penalty is bounded for cameras that look up.  Returned are mean and standard
-    deviation of the posterior; the latter includes the spread when each person, or half of the video, is left out.
+    level and 30 degrees down; its penalty is bounded for cameras that look up.  The result is the mean of the posterior
+    and its standard deviation, which includes the spread when each person, or half of the video, is left out.
     """
     stride = max(1, min(_STRIDE, max(len(track.keypoints_px) for track in tracks) // _FEW_FRAMES))
     thinned = [track.every(stride) for track in tracks]
@@ -119,7 +120,7 @@ def choose_pitch(searchers: Iterable[Searcher], tracks: Sequence[Track]) -> Pitc
 
 
 def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Evidence]]) -> tuple[float, float]:
-    """Return mean and deviation of the pitch by what people show under each of the pitches tried (rising)."""
+    """Return mean and standard deviation of the pitch from the evidence of people under each pitch tried."""
     from scipy.interpolate import CubicSpline  # here: 0.2 s that planning does not need
 
     looks_up, looks_down = np.minimum(grid - _LEVEL_RAD, 0.0), np.maximum(grid - _STEEP_RAD, 0.0)
@@ -127,7 +128,7 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Evidence]])
     score -= 0.5 * (looks_down / _LOOKS_DOWN_RAD) ** 2
     order = np.argsort(tried)
     for evidence in people:
-        # Away from the right pitch distances grow in proportion, and so their squares as a parabola.
+        # Distances grow in proportion to the error of the pitch, so their squares follow a parabola.
         square = np.array([shown.cost() ** 2 for shown in evidence])[order]
         between = np.maximum(CubicSpline(tried[order], square)(grid), 0.8 * square.min())
         score -= 0.5 * evidence[0].num_misfits * np.log(between + _COMMON_MISFIT_M**2)
@@ -141,9 +142,10 @@ def _posterior(tried: Array, grid: Array, people: Sequence[Sequence[_Evidence]])
 
 
 def floor_offset(tracks: Sequence[ReconstructedTrack], camera: DatabaseCamera) -> Array:
-    """Return what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
+    """Return the origin (3,) of the common frame of a sequence's people: lowest ankle at 0, start at x = z = 0.
 
-    The lowest ankle of all people is taken to stand on the floor; heights are along the upright axis, camera axes.
+    Subtract it from positions.  Camera axes; heights are along the upright axis.  The lowest ankle of all people is
+    assumed to stand on the floor.
     """
     upright = camera.camera_from_upright_rotmat
     people = [track.positions_m @ upright for track in tracks]  # camera axes to upright axes: the transpose
@@ -154,16 +156,16 @@ def floor_offset(tracks: Sequence[ReconstructedTrack], camera: DatabaseCamera) -
 
 @dataclass(frozen=True)
 class _Evidence:
-    """A track under one pitch.
+    """Evidence of a track under one pitch.
 
     Args:
         rate_hz: Frames per second.
-        distance_m: Distance of the match (frame,), NaN where bridged, and where the person does not stand but is not on
-            the floor.
-        height_m: Height of the lower ankle by each lens (lens, frame), NaN if it is not seen.
+        distance_m: Distance of the match (frame,), NaN where interpolated, and where a person who is not on the floor
+            does not stand.
+        height_m: Height of the lower ankle under each lens (lens, frame), NaN if it is not seen.
         nearer_m: How much nearer the left end of each line is by the match (frame, line), upright axes; NaN if it is
             not seen or the person does not stand.
-        higher_m: How much higher it is in the image, less what perspective adds.
+        higher_m: How much higher the left end is in the image, without the effect of perspective.
     """
 
     rate_hz: float
@@ -179,7 +181,7 @@ class _Evidence:
 
     @property
     def num_misfits(self) -> float:
-        """Number of distances that err independently."""
+        """Number of distances with independent errors."""
         return min(_MAX_MISFITS, _MISFITS_PER_S * self.num_counted / self.rate_hz)
 
     def cost(self) -> float:
@@ -190,20 +192,20 @@ class _Evidence:
         return float(self.distance_m[is_known].mean()) + _FLOOR_WEIGHT * min(self._off_m(), _MAX_FLOOR_M)
 
     def slopes(self) -> tuple[Array, Array]:
-        """Return by how much the nearer end of each line is lower, and the variance of it (line,)."""
+        """Return how much lower the nearer end of each line is, and the variance of that (line,)."""
         alike = max(1.0, _ALIKE_S * self.rate_hz)
         length = np.nansum(self.nearer_m**2, axis=0)
         slope = -np.nansum(self.nearer_m * self.higher_m, axis=0) / np.maximum(length, 1e-9)
         return slope, _LINE_DEVIATION_M**2 * alike / np.maximum(length, 1e-9) + _SLOPE_DEVIATION**2
 
     def _off_m(self) -> float:
-        """Return the deviation of the ankle from its median height under the best lens; 0 if it is never seen."""
+        """Return the median deviation of the ankle from its median height under the best lens; 0 if never seen."""
         is_seen = np.isfinite(self.height_m)
         heights = [height[seen] for height, seen in zip(self.height_m, is_seen, strict=True) if seen.any()]
         return min((float(np.median(np.abs(height - np.median(height)))) for height in heights), default=0.0)
 
     def half(self, part: int) -> _Evidence:
-        """Return what the first or the second half of the video shows."""
+        """Return the evidence of the first or the second half of the video."""
         count = len(self.distance_m)
         is_in_part = np.arange(count) * 2 // count == part
         return replace(
@@ -216,7 +218,7 @@ class _Evidence:
 
 
 def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
-    """Match a track under one pitch; None if too little is seen to search for."""
+    """Match a track under one pitch; return None if too little is seen for a search."""
     try:
         matches = match_track(searcher, track, ReconstructionOptions(num_candidates=1))
     except InputError:
@@ -226,7 +228,7 @@ def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
     is_seen = (track.confidence[:, _ANKLES] > 0) & ~nearest.is_bridged[:, None]
     heights = []
     for factor in (1.0,) if track.lens.is_known else _LENS_FACTORS:
-        # Behind a lens of another focal length everybody is as many times as far away.
+        # With another focal length, distances are multiplied by the same factor.
         farther = nearest.root_m * [0.0, 0.0, factor - 1.0]
         height = (nearest.positions_m[:, _ANKLES] + farther[:, None]) @ upright[:, 1]
         lower = np.argmin(height, axis=1)[:, None]
@@ -244,7 +246,7 @@ def _judge(searcher: Searcher, track: Track) -> _Evidence | None:
     for left, right in _LINES:
         nearer.append(np.where(is_standing, pose[:, left, 2] - pose[:, right, 2], np.nan))
         ends = matches.query_m[:, [left, right], 1]
-        # A camera looks less down at shoulders than at hips, and at who is far than at who is near.
+        # A camera looks down less steeply at shoulders than at hips, and at people far away.
         level = np.arctan(ends.mean(axis=1) / away) + ray
         lower = np.sin(level) * np.cos(searcher.database.camera.pitch_rad)
         higher.append(ends[:, 0] - ends[:, 1] - lower * nearer[-1])

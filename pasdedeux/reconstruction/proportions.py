@@ -1,7 +1,7 @@
-"""A person's own proportions against the reference body, estimated once per track; images moved between the two.
+"""Proportions of a person over the reference body, estimated once per track, and images retargeted between the two.
 
-Bone directions are what a pose is; lengths are the person.  A bone's image is its length times the part of its
-direction that lies in the image, so an image is retargeted like a pose: bone by bone.
+A pose consists of bone directions; lengths belong to the person.  The image of a bone is its length times the part of
+its direction in the image plane, so images are retargeted like poses, bone by bone.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _IS_HIP = np.isin(np.arange(OP14.num_joints), (_LEFT_HIP, _RIGHT_HIP))
 _LEFT_SHOULDER, _RIGHT_SHOULDER = OP14.index("left_shoulder"), OP14.index("right_shoulder")
 
 _MIN_IN_IMAGE = 0.6
-"""Bones are measured in frames where the match shows at least this part of their length."""
+"""Smallest part of a bone's length in the image, by the match, of frames in which it is measured."""
 
 _MIN_FRAMES = 5
 _PRIOR_FRAMES = 10.0
 """Weight of the reference proportions, in frames: short tracks stay near them."""
 
 _RANGE = (0.6, 1.6)
-"""Proportions of people; what lies beyond is a wrong match or a wrong scale."""
+"""Range of proportions of people; values beyond follow from a wrong match or scale."""
 
 
 def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) -> Array:
@@ -38,8 +38,9 @@ def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) ->
         weights: (frame, 14), 0 where not seen.
         matched_m: Images of the matched poses (frame, 14, 2), reference proportions; NaN where there is none.
 
-    The ratio of the image lengths is taken in the frames in which the bone lies mostly in the image, its median over
-    the track is drawn towards 1 by some frames' weight, and the overall size is taken out: one camera does not see it.
+    The ratio of image lengths is taken in frames in which the bone lies mostly in the image plane.  Its median over the
+    track is drawn towards 1 with the weight of some frames.  The overall size, which one camera does not show, is
+    removed.
     """
     log_ratio, count = np.zeros(OP14.num_joints), np.zeros(OP14.num_joints)
     for parent, child in OP14.bones:
@@ -63,9 +64,9 @@ def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) ->
 def retarget_image(points: Array, ratio: Array) -> Array:
     """Return images (*batch, 14, 2) with every bone divided by its ratio (14,), centred on the mid-hip.
 
-    A joint whose parent was not seen hangs on its nearest seen ancestor, divided by the mean ratio of the bones between
-    by their lengths.  A neck that was not seen is taken to be between the shoulders; without those the joints below it
-    hang on the mid-hip, which is where both hips are, else at the origin of `points`.  NaN stays NaN.
+    A joint whose parent was not seen is placed from its nearest seen ancestor; the ratio is the mean over the bones
+    between, weighted by length.  A neck that was not seen is assumed between the shoulders.  Without shoulders, joints
+    are placed from the mid-hip, or from the origin of `points` if a hip was not seen.  NaN stays NaN.
     """
     flat = np.array(points, dtype=np.float64, order="C").reshape(-1, OP14.num_joints, 2)
     return _retarget_images(flat, ratio).reshape(points.shape)
@@ -73,7 +74,7 @@ def retarget_image(points: Array, ratio: Array) -> Array:
 
 @compiled()
 def _retarget_images(images: Array, ratio: Array) -> Array:
-    """Do `retarget_image` for images (n, 14, 2)."""
+    """Return retargeted images (n, 14, 2); see `retarget_image`."""
     moved = images.copy()
     for at in range(images.shape[0]):
         _retarget(images[at], ratio, moved[at])
@@ -101,7 +102,7 @@ def _retarget(points: Array, ratio: Array, moved: Array) -> None:
             ancestor, top = _PARENTS[ancestor], ancestor
         is_of_leg = _IS_HIP[top]
         if ancestor == _NECK and not has_neck and not (is_of_leg and top == joint):
-            # From the mid-hip legs are nearer than from the neck, and all else is farther, by the torso.
+            # Seen from the mid-hip, not the neck, legs are nearer by the length of the torso, all else farther.
             sign = -1.0 if is_of_leg else 1.0
             length += sign * _LENGTHS_M[_LEFT_HIP]
             own += sign * _LENGTHS_M[_LEFT_HIP] * ratio[_LEFT_HIP]

@@ -1,6 +1,6 @@
-"""Rays from the camera to people: keypoints as a camera turned towards a person sees them, and that turn.
+"""Rays from the camera to people: keypoints seen by a camera that is turned to a person, and that turn.
 
-Compiled, because live reconstruction does it for every frame of its own.
+Compiled, because live reconstruction calls it for every frame.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import normalise, put_row, put_unitquat, rotate, row_of, swing_between
 
 _MIN_DEPTH = 0.1
-"""Rays that leave the turned camera flatter than this, depth over length of its axis, cannot be seen."""
+"""Smallest depth of a visible ray over the focal length, in axes of the turned camera."""
 
 
 @compiled()
 def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
-    """Return keypoints as a camera turned towards mid-hip sees them and the direction (frame, 3) back to the camera.
+    """Return keypoints seen by a camera turned to the mid-hip, and the direction (frame, 3) back to the camera.
 
-    Rays behind the turned camera's horizon cannot be seen and come out as NaN.
+    Rays that the turned camera cannot see give NaN.
 
     Args:
         centred_px: Keypoints (frame, joint, 2) about the principal point, y up; NaN where not seen.
-        mid_hip_px: (frame, 2); where it is not known the camera is not turned.
+        mid_hip_px: Mid-hip (frame, 2); where it is unknown, the camera is not turned.
         focal_px: Focal length.
     """
     straight, towards = np.full(centred_px.shape, np.nan), np.empty((centred_px.shape[0], 3))
@@ -54,7 +54,7 @@ def camera_turns(directions: Array) -> Array:
 
 @compiled()
 def turn_with_camera(towards: Array, point: Array) -> Array:
-    """Return a point (3,) of a camera turned by `camera_turns` into a direction (3,), in axes of the camera itself."""
+    """Return a point (3,), given in axes of a camera turned into a direction (3,), in axes of the unturned camera."""
     turned, x, y, z = np.empty((1, 3)), towards[0], towards[1], towards[2]
     put_row(turned, 0, rotate(swing_between((0.0, 0.0, 1.0), (x, y, z)), (point[0], point[1], point[2])))
     return turned[0]

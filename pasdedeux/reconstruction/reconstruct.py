@@ -1,4 +1,4 @@
-"""From the candidates of a track to a 3D motion: choose over time, bridge, smooth, fit, back to the camera."""
+"""Make a 3D motion of the candidates of a track: choose over time, fill gaps, smooth, fit, place before the camera."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ _SMOOTHED_NOISE = 0.6
 
 _NUM_FIT_ROUNDS = 2
 _SAME_IMAGE_M = 0.002
-"""A second round is made if the depths of the first change the image by more than this."""
+"""The fit makes a second round if the depths of the first change the image by more than this."""
 
 _BONE_DEVIATION_RANGE_M = (0.01, 0.2)
 """Range of the standard deviation of a retrieved bone."""
 
 _NOISE_OF_EQUAL_SHARES_M = 0.03
-"""Noise of the image at which the followed motion counts as much as the candidates of the frame."""
+"""Noise of the image at which the motion chosen over time and the candidates of a frame have equal weight."""
 
 MEAN_OF_RAYLEIGH = float(np.sqrt(np.pi / 2.0))
-"""Mean distance of a joint from its place, over the standard deviation of each of its coordinates."""
+"""Mean error of a point in the image, over the standard deviation of each coordinate."""
 
 _BRIDGED_MISFIT_M = 0.05
-"""Misfit of bridged frames: their bones are interpolated."""
+"""Misfit assumed for interpolated frames."""
 
 HOW_TO_CLUSTER = "method 'published' needs them: set num_clusters (500 in the paper) of [projections]"
 
@@ -55,16 +55,16 @@ class ReconstructedTrack:
     """A reconstructed track, camera axes (x right, y up, z towards the camera), camera at the origin, metres.
 
     Args:
-        track: What it was made from.
+        track: The keypoints.
         positions_m: op14 positions (frame, 14, 3).
         root_m: Mid-hip (frame, 3).
-        yaw_rad: Yaw of the matched projection (frame,); NaN where bridged.
-        score_m: Mean distance per seen joint to it (frame,); NaN where bridged.
-        row: Database row matched (frame,); -1 where bridged.
-        is_bridged: Too little was seen in the frame; the pose is interpolated (frame,).
+        yaw_rad: Yaw of the matched projection (frame,); NaN where interpolated.
+        score_m: Mean distance of the seen joints from it (frame,); NaN where interpolated.
+        row: Matched row of the database (frame,); -1 where interpolated.
+        is_bridged: Whether the pose is interpolated because the frame shows too little (frame,).
         metres_per_pixel: (frame,).
-        correction_m: Mean distance that the fit moved a joint from where the followed poses had it (frame,), mid-hips
-            together; NaN where nothing was fitted.
+        correction_m: Mean distance by which the fit moved the joints of the chosen poses (frame,), mid-hips aligned;
+            NaN without a fit.
         noise_m: Standard deviation of the image's noise.
     """
 
@@ -91,15 +91,15 @@ class ReconstructedTrack:
 
     @property
     def num_joints_seen(self) -> Integers:
-        """Joints seen in each frame (frame,)."""
+        """Number of joints seen in each frame (frame,)."""
         return np.asarray((self.track.confidence > 0).sum(axis=1))
 
     def posed(self, positions_m: Array) -> ReconstructedTrack:
-        """Return it with other positions (frame, 14, 3)."""
+        """Return the track with other positions (frame, 14, 3)."""
         return replace(self, positions_m=positions_m, root_m=mid_hip(positions_m))
 
     def scaled(self, size: float) -> ReconstructedTrack:
-        """Return body and path scaled about the camera, which sees no difference."""
+        """Return the track with body and path scaled about the camera, which leaves the image as it is."""
         return replace(
             self,
             positions_m=size * self.positions_m,
@@ -119,14 +119,14 @@ def reconstruct_track(
     """Return a track's motion before the camera.
 
     Args:
-        searcher: Database made ready.
+        searcher: Prepared database.
         track: The keypoints.
         method: `nearest` takes each frame's best match as it is (the baseline); `window` and `viterbi` choose over time
             and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths); `published` is
             `window` over what the published search finds, on the database's own body; `fit` goes on from `viterbi` to
             the image itself.
-        options: How.
-        matches: Result of `match_track` for this track, where it is at hand.
+        options: Settings.
+        matches: Result of `match_track` for this track, if it is known.
 
     Raises:
         InputError: Nothing to search for; see `match_track`.  Or the method is `published` and the database has no
@@ -175,7 +175,7 @@ def reconstruct_track(
 
 
 def _published_matches(searcher: Searcher, matches: Matches) -> Matches:
-    """Return what the published search finds for a track: yaws and proportions are the database's.
+    """Return the matches of the published search, which keeps yaws and proportions of the database.
 
     Raises:
         InputError: The database has no clusters.
@@ -194,7 +194,7 @@ def _published_matches(searcher: Searcher, matches: Matches) -> Matches:
 
 
 def _mean_distance_m(first: Array, second: Array) -> Array:
-    """Return the mean distance (frame,) of the joints of poses (frame, 14, 3), mid-hips together."""
+    """Return the mean distance (frame,) of the joints of poses (frame, 14, 3), mid-hips aligned."""
     first, second = (poses - mid_hip(poses)[:, None] for poses in (first, second))
     return np.asarray(np.linalg.norm(first - second, axis=-1).mean(axis=-1))
 
@@ -204,10 +204,10 @@ def _fit(
 ) -> Array:
     """Return matched poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
 
-    The candidates vote on depth in reference proportions; the fit is in the person's own.  Perspective needs the depth
-    and the depth needs the image without perspective, so a second round starts from the first one's depths.  Bones are
-    pulled to the mean of the candidates of their sign; in a noisy image, where votes change from frame to frame, more
-    to the motion that was followed through the database.
+    Candidates vote on depths in reference proportions; the fit uses the person's own.  Removing perspective from the
+    image needs the depths, which follow from that image, so a second round starts from the depths of the first.  Bones
+    are drawn to the mean of the candidates with the same sign of depth.  In a noisy image these votes change from frame
+    to frame, and bones are drawn more to the motion chosen over time.
     """
     neighbours = matches.neighbours
     reference = place_bone_rotations(bone_rotations(matched), REFERENCE_LENGTHS_M, np.zeros((len(matched), 3)))
@@ -251,16 +251,16 @@ def _fit(
 
 
 def bone_deviation_m(match_m: npt.ArrayLike, noise_m: float, per_misfit: float) -> Array:
-    """Return the standard deviation (*batch,) of a bone of matches of this misfit (*batch,), metres.
+    """Return the standard deviation (*batch,) of bones of matches with a misfit (*batch,), metres.
 
-    The misfit holds the image's noise, which says nothing against the match.
+    The noise of the image is subtracted from the misfit, because it does not make a match worse.
     """
     misfit = np.sqrt(np.maximum(np.asarray(match_m) ** 2 - (MEAN_OF_RAYLEIGH * noise_m) ** 2, 0.0))
     return np.clip(per_misfit * misfit, *_BONE_DEVIATION_RANGE_M)
 
 
 def share_of_followed(noise_m: float) -> float:
-    """Return how much the followed motion counts against the frame's own candidates in an image of this noise."""
+    """Return the weight, 0 to 1, of the motion chosen over time against the frame's own candidates."""
     return noise_m**2 / (noise_m**2 + _NOISE_OF_EQUAL_SHARES_M**2)
 
 

@@ -1,18 +1,18 @@
-"""How good a reconstruction is, without ground truth: for people and couples a figure, and pass, warn or fail.
+"""Judge a reconstruction without ground truth: a figure for each person and couple, and pass, warn or fail.
 
-The figure is the expected error, with an interval that holds in 80 % of cases.  For a person it comes from
+The figure is the expected error, with an interval that holds in 80 % of cases.  For a person, it follows from
 
 - how far the fit moved the retrieved poses: little if the database holds the motion and the camera is right;
 - the deviation of the pitch;
-- how lively the person moves, because a wrong pose stays wrong while nothing new is seen;
-- how far the hips are turned, because nothing shows how far the back of a person who faces the camera leans.
+- the acceleration of the joints, because a wrong pose stays wrong while the person keeps still;
+- the turn of the hips, because the image does not show how far the back of a person who faces the camera leans.
 
-The distance of the matches, less the noise of the image, is compared with that of the database's own motions when each
-is matched to the others: if it is larger, the database lacks the motion.
+The distance of the matches, less the noise of the image, is compared with that of the database's own motions, each
+matched to the others.  If it is larger, the database lacks the motion.
 
-For a place, of one person of a couple relative to the other, the figure comes from the deviation that the estimate of
-the scene states, from the depth between the two, which an unknown lens and unknown sizes stretch, and from the expected
-errors of both poses.
+For the place of one person of a couple relative to the other, the figure follows from the deviation by the scene
+estimate, from the depth between the two, which an unknown lens and unknown sizes stretch, and from the expected errors
+of both poses.
 """
 
 from __future__ import annotations
@@ -49,39 +49,39 @@ _STRETCH = 0.3
 """Standard deviation of the depth between two people, as a part of it, for the lens: the derivative of their place by
 the lens predicts errors less well."""
 _MIN_TURNED = 0.1
-"""Added to how far the hips are turned, 0 to 1."""
+"""Added to the turn of the hips, 0 to 1."""
 _MIN_ACCELERATION_M_S2, _ACCELERATION_HZ = 0.5, 30.0
-"""Added to the acceleration, and the rate of the frames that it is taken from."""
+"""Added to the acceleration, and the rate of the frames from which it is taken."""
 _MAX_EXPECTED_M, _MAX_EXPECTED_PLACE_M = 0.5, 2.0
-"""Largest errors that were measured."""
+"""Largest measured errors."""
 _PERSON_RANGE, _PLACE_RANGE = (0.63, 1.45), (0.35, 2.05)
-"""Interval of the error over the expected error, of people and places: holds in 80 % of clips of a family left out."""
+"""Interval of the error over the expected error, for people and places; holds in 80 % of clips of a left-out family."""
 _AT_EDGE = 1.5
-"""Factor of errors if the pitch is at the edge of those that were tried: 1.3 to 2.1 of six people seen by cameras 15
-degrees beyond it, and 1.2 to 1.9 by cameras 20 degrees below."""
+"""Factor on errors if the pitch is at the edge of those tried: 1.3 to 2.1 for six people before cameras 15 degrees
+beyond it, and 1.2 to 1.9 before cameras 20 degrees below."""
 _OTHERWISE = 2.5
-"""Factor of errors of people whose image may show something else: 0.9 to 4.4 of 14 where it did."""
+"""Factor on errors of people whose image is ambiguous: 0.9 to 4.4 for 14 whose image did show something else."""
 _SIZED, _PLACE_SIZED = 0.88, 0.89
-"""Factors of errors if a stature is stated, of people and, on top, of places: 0.81 to 0.94, and 0.80 to 0.91 with both,
-in four families, 56 people and 28 couples."""
+"""Factors on errors if a stature is stated: for people 0.81 to 0.94, and on top for places, 0.80 to 0.91 with both, in
+four families, 56 people and 28 couples."""
 
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.09, 0.20
 DOUBTFUL_PLACE_M, BAD_PLACE_M = 0.20, 0.40
 FAR = 1.5
-"""A misfit of more than this many times that of the database's own motions is a failure."""
+"""Largest misfit, as a multiple of that of the database's own motions, before a failure."""
 POOR_SHARE_SEEN, USELESS_SHARE_SEEN = 0.7, 0.4
-"""Share of the 14 joints that are seen: a warning below the first, a failure below the second."""
+"""Shares of seen joints: a warning below the first, a failure below the second."""
 DOUBTFUL_PITCH_RAD = float(np.deg2rad(5.0))
 """A larger standard deviation of the pitch is a warning: a wrong pitch leans people and tilts the floor."""
 MIN_LENGTH_S = 0.5
-"""Shorter videos get a warning: all their frames err alike."""
+"""Shorter videos get a warning, because the errors of all their frames are alike."""
 MAX_BRIDGED = 0.2
 """A motion of which a larger share is interpolated gets a warning."""
 LEFT_OUT_PERCENTILE = 95.0
-"""Percentile of the misfits of the database's left-out frames up to which a motion counts as held."""
+"""Percentile of the misfits of left-out frames up to which the database holds a motion."""
 
 _LEVEL_RAD = float(np.deg2rad(-1.0))
-"""A camera that looks up by less is as good as level."""
+"""A camera that looks up by less counts as level."""
 _NUM_LEFT_OUT, _NUM_NEIGHBOURS = 128, 1000
 _HIPS = OP14.indices(["left_hip", "right_hip"])
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -93,16 +93,15 @@ class Reliability:
     """Quality of a person's reconstruction, estimated without ground truth.
 
     Args:
-        expected_error_m: Expected mean distance of a joint from the ground truth, mid-hips together; NaN where
-            nothing was fitted.
+        expected_error_m: Expected mean distance of a joint from the ground truth, mid-hips aligned; NaN without a fit.
         misfit_m: Median distance of the matches, less the noise of the image.
-        left_out_m: The same of the database's own motions, 95th percentile; NaN if not known.
-        share_seen: Share of the joints that were seen.
-        share_bridged: Share of the frames that are interpolated.
+        left_out_m: The misfit of the database's own motions, 95th percentile; NaN if unknown.
+        share_seen: Share of seen joints.
+        share_bridged: Share of interpolated frames.
         doubts: Further reasons for a warning, such as those about the camera.
         farthest_s: Time of the video at which the database is farthest from the image.
-        is_unproven: Only the poses of the database tell where up is, so that it must not lack the motion.
-        is_moved: The camera seems to move, which is taken for motion of the people.
+        is_unproven: Whether only the poses of the database determine the pitch, so that it must hold the motion.
+        is_moved: Whether the camera seems to move, which is taken for motion of the people.
         evidence: The log of the expected error is a weighted sum of these (n,).
     """
 
@@ -156,13 +155,13 @@ class Reliability:
 
 @dataclass(frozen=True)
 class Place:
-    """Quality of where one person is to the other, estimated without ground truth.
+    """Quality of the place of one person relative to the other, estimated without ground truth.
 
     Args:
         expected_error_m: Expected error of the vector between the mid-hips, mean over frames.
         doubts: Further reasons for a warning, such as those about the camera.
-        is_unproven: The video is too short, nobody stands, the camera moves, or it may show something else: nothing
-            tells where the camera is.
+        is_unproven: Whether nothing determines the camera: the video is too short or ambiguous, nobody stands, or the
+            camera moves.
         evidence: The log of the expected error is a weighted sum of these (n,).
     """
 
@@ -201,13 +200,13 @@ class Judged:
 
     @property
     def verdicts(self) -> dict[str, Verdict]:
-        """All verdicts, by what they are about."""
+        """All verdicts, by their subject."""
         people = {f"person {name}": person.verdict for name, person in self.people.items()}
         return people | {f"place of {a} and {b}": place.verdict for (a, b), place in self.places.items()}
 
     @property
     def verdicts_with_errors(self) -> dict[str, Verdict]:
-        """All verdicts, by what they are about and the error that is expected of it."""
+        """All verdicts, by their subject and its expected error."""
         expected = [person.expected_in_words for person in self.people.values()]
         expected += [place.expected_in_words for place in self.places.values()]
         named = zip(self.verdicts.items(), expected, strict=True)
@@ -225,9 +224,9 @@ def judge_tracks(
 
     Args:
         people: The people.
-        left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
+        left_out_m: Largest misfit of the database's own motions, from `left_out_misfit_m`.
         sequence_id: Name of the sequence, for the table of people.
-        pitches_rad: Pitches of the cameras that were tried.
+        pitches_rad: Pitches that were tried.
     """
     if not people.methods:
         return Judged({}, {})
@@ -295,10 +294,10 @@ def judge_person(
 
     Args:
         person: The person.
-        left_out_m: Misfit that the database's own motions have at most, from `left_out_misfit_m`.
+        left_out_m: Largest misfit of the database's own motions, from `left_out_misfit_m`.
         pitch_deviation_rad: Standard deviation of the camera's pitch.
         doubts: Further reasons for a warning.
-        is_unproven: Nobody is seen standing, so that only the poses tell where up is.
+        is_unproven: Whether nobody is seen standing, so that only the poses determine the pitch.
     """
     is_known = ~person.is_bridged & np.isfinite(person.score_m)
     noise = MEAN_OF_RAYLEIGH * person.noise_m
@@ -331,18 +330,18 @@ def _judge_place(deviation_m: float, expected_m: float, doubts: tuple[str, ...])
 
 
 def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.NDArray[np.object_]) -> float:
-    """Return the misfit that frames of the database have at most when their own motion is left out, 95 % of them.
+    """Return the 95th percentile of the misfits of the database's frames when their own motion is left out.
 
-    The frames are evenly spread, and so are the yaws: whoever asks of one database gets one answer.
+    Frames and yaws are evenly spread, so the result depends only on the database.
 
     Args:
         database: Database.
         index: Its index.
-        motion: Name of the motion of each row, (row,), such as its take: rows of one name are left out together.
+        motion: Name of the motion of each row (row,), such as its take; rows of one name are left out together.
 
     Returns:
-        Metres; NaN where all rows have one name.  A frame whose nearest rows are all of its own motion counts with
-        the distance of the farthest of those, which is too small rather than too large.
+        Metres; NaN if all rows have one name.  If the nearest rows of a frame are all of its own motion, the distance
+        of the farthest of them counts, which is too small rather than too large.
     """
     if len(np.unique(motion.astype(str))) < 2:
         return float("nan")
@@ -357,9 +356,9 @@ def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.ND
 
 
 def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[str, ...]:
-    """Return a sentence if the camera pitch is at the limit of the search or uncertain, else an empty text.
+    """Return a warning if the camera pitch is at the edge of the search or uncertain.
 
-    A level camera is no edge: few look up at people.
+    A level camera is no edge, because few cameras look up at people.
     """
     if pitch.is_guess:
         how = "--pitch, in a study projections.pitches_deg"
@@ -372,14 +371,14 @@ def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[st
 
 
 def _is_at_edge(pitches_rad: Sequence[float], pitch: PitchEstimate) -> bool:
-    """Tell whether a pitch lies where none was tried beyond."""
+    """Tell whether a pitch is at or beyond the edge of those that were tried."""
     if len(pitches_rad) < 2 or pitch.is_given:
         return False
     return pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD)
 
 
 def _acceleration_m_s2(person: ReconstructedTrack) -> float:
-    """Return the mean acceleration of the joints about the mid-hip; 0 of fewer than three frames."""
+    """Return the mean acceleration of the joints about the mid-hip; 0 for fewer than three frames."""
     step = max(1, round(person.track.rate_hz / _ACCELERATION_HZ))
     poses = (person.positions_m - person.root_m[:, None])[::step]
     if len(poses) < 3:
@@ -389,13 +388,13 @@ def _acceleration_m_s2(person: ReconstructedTrack) -> float:
 
 
 def _turned(person: ReconstructedTrack) -> float:
-    """Return how far the line between the hips is turned out of the image, 0 to 1, on average."""
+    """Return the mean turn of the line between the hips out of the image plane, 0 to 1."""
     across = np.diff(person.positions_m[:, _HIPS], axis=1)[:, 0]
     return _mean(np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=-1), 1e-9))
 
 
 def _depth_between_m(first: ReconstructedTrack, second: ReconstructedTrack) -> float:
-    """Return the depth between two people, mean over the frames that show both."""
+    """Return the mean depth between two people over the frames with both."""
     _, at, there = np.intersect1d(first.track.frames, second.track.frames, return_indices=True)
     return _mean(np.abs(first.root_m[at, 2] - second.root_m[there, 2]))
 

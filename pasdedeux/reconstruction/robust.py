@@ -1,4 +1,4 @@
-"""Robust least squares: the unknowns of a scene at which the weighted squares of all terms sum to the least."""
+"""Robust least squares: the unknowns of a scene that minimise the weighted squares of all terms."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople
 from pasdedeux.reconstruction.terms.term import SceneTerm
 
 _ROBUST = 3.0
-"""Deviations at which a robust residual counts a quarter (Geman and McClure 1985)."""
+"""Size of a robust residual, in deviations, at which its weight is a quarter (Geman and McClure 1985)."""
 _NUM_STEPS, _NUM_DAMPINGS = 25, 8
 _WIDE, _NUM_WIDE = 4.0, 8
-"""How much wider the robust terms are in the first step than in the last, and the steps until they are as stated."""
+"""Factor on the width of robust terms in the first step, and number of steps until it falls to 1."""
 _DAMPING, _MIN_DAMPING = 1e-3, 1e-6
 _TOLERANCE = 1e-5
 """The search ends after a step that lowers the cost by less than this share."""
@@ -24,7 +24,7 @@ _TOLERANCE = 1e-5
 
 @dataclass(frozen=True)
 class Solution:
-    """The scene of least cost, that cost, and by its curvature the variance of a sum of unknowns with given weights."""
+    """The scene of least cost, that cost, and the variance of a weighted sum of unknowns by its curvature."""
 
     scene: PlacedPeople
     cost: float
@@ -49,7 +49,7 @@ def solve(terms: Sequence[SceneTerm], seen: SeenPeople, start: Array, *, side: f
     damping, damped = _DAMPING, eye_array(len(start))
     costs = _Costs.of(terms, PlacedPeople(seen, start, side))
     for step_number in range(_NUM_STEPS):
-        # Start wide: with a wrong size everybody seems to fly, all the time.
+        # Start wide: with a wrong size, everybody seems to fly all the time.
         scale = _ROBUST * max(1.0, _WIDE * (1.0 - step_number / _NUM_WIDE))
         jacobian, weight = costs.jacobian(), costs.weights(scale)
         normal = jacobian.T @ jacobian.multiply(weight[:, None]).tocsr()
@@ -75,7 +75,7 @@ def solve(terms: Sequence[SceneTerm], seen: SeenPeople, start: Array, *, side: f
 
 @dataclass(frozen=True)
 class _Costs:
-    """All residuals of a scene in a row: their values, shares, and whether they are robust (n,)."""
+    """All residuals of a scene: values, weights (`share`), and whether they are robust (n,)."""
 
     terms: Sequence[SceneTerm]
     scene: PlacedPeople

@@ -1,23 +1,23 @@
 """Jointly estimate camera, body sizes and root paths of all people of a video.
 
-One camera sees in which direction a person is and how large the person looks.  The distance depends on the lens, on the
-size of the person and, on a floor, on where the camera stands.  All of it is one robust least squares over the pitch,
-the camera's height, the focal length, the sizes, and the logarithm l(t) of each person's distance over its initial
-value.  Its terms are in `terms`:
+One camera shows the direction of a person and how large the person looks.  The distance depends on the lens, on the
+size of the person and, on a floor, on the height of the camera.  One robust least-squares problem estimates all of
+them: the pitch, the camera's height, the focal length, the sizes, and the logarithm l(t) of each person's distance over
+its initial value.  Its terms are in `terms`:
 
 - image: l(t) = log size + log focal, as the person looks in the image;
 - floor: the lowest part of everybody is on the floor, an ankle of standing people; nobody is below it, and people above
   it have little weight; a camera that looks up may be below the floor, as before a stage;
 - path: a foot that stands does not move in depth, and paths are smooth;
-- contact: two bodies do not pass through each other, and a hand that keeps its place on a bone of the other's image for
-  long touches it there.  A carried person is not on the floor but on the other's body, all the time: that is tried for
-  each of two people whose hands are seen on each other, and accepted if the cost falls enough;
+- contact: two bodies do not pass through each other, and a hand that stays on a bone of the other's image for long
+  touches it there.  A carried person is on the other's body all the time, not on the floor: that is tried for each of
+  two people whose hands are seen on each other, and accepted if the cost falls enough;
 - pairs: the difference in depth of two people follows from pairs of the database that look alike;
 - stature, pitch and priors: statures are people's, the lens is a common one, and the pitch is near the one whose poses
   fit the image best.
 
-Errors of poses last: in every term that poses enter, frames near in time count as one.  The weights of robust terms
-follow the residuals in each step of the solver, so who stands is decided with everything else.
+Errors of poses last, so frames near in time count as one in every term that depends on poses.  The weights of robust
+terms follow the residuals in each step of the solver, so who stands is estimated with everything else.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ _TILT_DEVIATION = 0.04
 _ANKLE_DEVIATION_M = 0.02
 """Standard deviation of the height of a person's ankles over the usual one: shoes and heels."""
 _CARRIED_COST, _HELD_SHARE = 14.0, 0.5
-"""A person counts as carried if that lowers the cost by more; tried if hands are on a body in more of the frames."""
+"""Decrease of the cost above which a person counts as carried, and share of frames with hands on a body for a try."""
 _OTHER_SIDE_COST = 2.0
-"""The floor is on the other side of the camera than the first pitch says if that lowers the cost by more."""
+"""Decrease of the cost above which the floor is on the other side of the camera than the first pitch implies."""
 _NUM_SHOWN = 5
-"""Frames that the deviation of a place is the mean of."""
+"""Number of frames over which the deviation of a place is averaged."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +69,15 @@ class SceneEstimate:
 
     Args:
         pitch_rad: Pitch of the camera.
-        pitch_deviation_rad: Standard deviation of it, from the curvature at the solution.
-        pitch_off_rad: By how much the rays to people look farther down than their image says; of a given pitch, the
-            camera than was given.
-        camera_height_m: Height of the camera over the floor; below 0 under it, as before a stage.
+        pitch_deviation_rad: Its standard deviation, from the curvature at the solution.
+        pitch_off_rad: How much farther down the rays to people look than the image shows; for a stated pitch, how much
+            farther down the camera looks.
+        camera_height_m: Height of the camera over the floor; negative below it, as before a stage.
         lens_factor: Focal length over the assumed one.
         sizes: Size of each person over the initial one (person,).
         factors: Distance of each person's mid-hip from the camera over the initial one, (frame,) each.
-        place_deviation_m: Standard deviation of the vector from one mid-hip to the other, as floor, sizes and image
-            leave it, by the numbers of two people who are in a frame together; root mean square over frames.
+        place_deviation_m: Standard deviation of the vector from one mid-hip to the other, given floor, sizes and image,
+            by the numbers of two people who share a frame; root mean square over frames.
     """
 
     pitch_rad: float
@@ -91,11 +91,11 @@ class SceneEstimate:
 
     @property
     def height_in_words(self) -> str:
-        """Say how high the camera is."""
+        """Return the height of the camera in words."""
         return f"{abs(self.camera_height_m):.2f} m {'above' if self.camera_height_m > 0 else 'below'} the floor"
 
     def placed(self, number: int, track: ReconstructedTrack) -> ReconstructedTrack:
-        """Return the track of a person at its place and size, on the rays of this lens, pose kept."""
+        """Return the track of a person at the estimated place and size, on the rays of this lens; the pose is kept."""
         person = SeenPerson(track)
         ray = rays_through(person.plane, self.lens_factor)
         root = (person.distance_m * self.factors[number])[:, None] * ray
@@ -119,11 +119,11 @@ def estimate_scene(
     """Jointly estimate camera, body sizes and root paths.
 
     Args:
-        tracks: People as the camera sees them, at least one, at initial places; mid-hips before the camera.
+        tracks: People at initial places, at least one; mid-hips before the camera.
         pitch: Estimate of the pitch from the image.
-        pairs: What pairs of a database say of couples, by their numbers in `tracks`.
-        statures_m: Stature by person id, where it is known.
-        camera_height_m: Height of the camera over the floor where it is known.
+        pairs: Depths between couples by pairs of a database; people are numbered as in `tracks`.
+        statures_m: Known statures by person id.
+        camera_height_m: Height of the camera over the floor, if known.
 
     Raises:
         InputError: The height of the camera is not above 0.
@@ -132,7 +132,7 @@ def estimate_scene(
         check_positive(camera_height_m, "the height of the camera")
     known = KnownScene(SeenPeople(tuple(map(SeenPerson, tracks))), pitch, pairs, statures_m or {}, camera_height_m)
     seen, sides = known.seen, known.sides()
-    # Hands and bodies make local minima: from one lens alone, noise of a pixel decides which is found.
+    # Hands and bodies cause local minima: from one lens alone, noise of a pixel would decide which one is found.
     solutions = [
         min((solve(known.terms(), seen, start, side=side) for start in known.starts()), key=lambda found: found.cost)
         for side in sides
@@ -145,7 +145,7 @@ def estimate_scene(
         if tried.cost < cost:
             carried, cost, solution = people, tried.cost, tried
     scene = solution.scene
-    # Places are no better known for the sake of what may be wrong all the time.
+    # Terms that may be wrong all the time do not make places more certain.
     certain = [term for term in known.terms(carried) if term.is_certain]
     is_said = len(pairs) > 0 or any(touching.any() for touching in known.hands.values())
     apart = solve(certain, seen, scene.x, side=side) if is_said else solution
@@ -163,14 +163,14 @@ def estimate_scene(
 
 @dataclass(frozen=True)
 class KnownScene:
-    """What the estimate starts from.
+    """Input of the estimate.
 
     Args:
         seen: The people.
         pitch: Estimate of the pitch from the image.
-        pairs: What pairs of a database say of couples.
-        statures_m: Stature by person id, where it is known.
-        camera_height_m: Height of the camera over the floor where it is known.
+        pairs: Depths between couples by pairs of a database.
+        statures_m: Known statures by person id.
+        camera_height_m: Height of the camera over the floor, if known.
     """
 
     seen: SeenPeople
@@ -181,11 +181,11 @@ class KnownScene:
 
     @cached_property
     def hands(self) -> dict[tuple[int, int], Flags]:
-        """Of each couple, on which bones of the other each hand may be, see `touching_hands`."""
+        """For each couple, the bones of the other on which each hand may be, see `touching_hands`."""
         return {couple.people: touching_hands(self.seen, couple) for couple in self.seen.couples}
 
     def terms(self, carried: tuple[int, int] | None = None) -> list[SceneTerm]:
-        """Return the terms of the estimate, if the first of two people is carried by the second."""
+        """Return the terms of the estimate; `carried` are the numbers of a carried person and the carrier."""
         height_deviation = _HEIGHT_DEVIATION if self.camera_height_m is None else KNOWN_DEVIATION
         terms: list[SceneTerm] = [
             PitchTerm(self.pitch),
@@ -211,9 +211,9 @@ class KnownScene:
         return all(person.track.track.lens.is_known for person in self.seen.people)
 
     def starts(self) -> Iterator[Array]:
-        """Yield first guesses of the unknowns: people of known stature at that size, the others where they are.
+        """Yield initial values of the unknowns: people of known stature at that size, the others unchanged.
 
-        The lens is the assumed one; if it is not known, then one deviation shorter and longer.
+        The lens is the assumed one; if it is unknown, also one deviation shorter and longer.
         """
         start = np.zeros(self.seen.starts[-1])
         start[Unknown.PITCH], start[Unknown.HEIGHT] = self.pitch.pitch_rad, self._log_height
@@ -226,7 +226,7 @@ class KnownScene:
             yield start.copy()
 
     def sides(self) -> list[float]:
-        """Return where the floor may be: where feet are by the pitch, then by a pitch that is one deviation off.
+        """Return the possible sides of the floor: where the pitch puts the feet, then pitches one deviation off.
 
         A camera of known height is above the floor.
         """
@@ -238,7 +238,7 @@ class KnownScene:
         return list(dict.fromkeys(-1.0 if above else 1.0 for above in is_above))
 
     def may_carry(self) -> Iterator[tuple[int, int]]:
-        """Yield possible pairs of carried person and carrier: hands are seen on the other's body half of the time."""
+        """Yield possible pairs of carried person and carrier: hands are on the other's body half of the time."""
         for people, touching in self.hands.items():
             if touching.any(axis=(1, 2)).mean() > _HELD_SHARE:
                 yield from (people, people[::-1])
@@ -251,7 +251,7 @@ class KnownScene:
 def _place_deviations(solution: Solution) -> Iterator[tuple[tuple[int, int], float]]:
     """Yield the standard deviation of the vector between two people's mid-hips, by their numbers.
 
-    Only by the distances of both: with the lens as well, the interval score of errors of places is worse.
+    It follows from the distances of both alone: with the lens too, the interval score of errors of places is worse.
     """
     scene = solution.scene
     for couple in scene.seen.couples:

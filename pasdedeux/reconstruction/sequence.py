@@ -1,4 +1,4 @@
-"""From the tracks of a video to the motion of its people and verdicts: what commands, stages and lifting call."""
+"""Reconstruct the people of a video from their tracks, and judge the result: the entry of commands and stages."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from pasdedeux.reconstruction.reliability import Judged, judge_tracks, left_out_
 from pasdedeux.reconstruction.tracks import Track
 
 _MAX_PROJECTIONS = 1_000_000
-"""Projections that a pitch is judged by, at most: an even choice."""
+"""Largest number of projections, evenly chosen, by which a pitch is judged."""
 
 
 @dataclass(frozen=True)
 class SearchedDatabase:
-    """The poses that people of videos are matched to, and what belongs to them.
+    """The poses that people of videos are matched to, with their takes and pairs.
 
     Args:
         poses: The poses before a level camera.
-        pitches_rad: Pitches that are tried for a camera; a single one counts as stated.
+        pitches_rad: Pitches to try for a camera; a single one counts as stated.
         take_ids: Take of each pose (row,); motions of one take are left out together.
         take_frames: Its frame in the take (row,).
         pairs_m: Pairs of people (row, person=2, 14, 3), as `pairs.centre_pairs` gives them; None for no pairs.
         clusters: Clusters of the database, for the method `published`.
-        ready: Searchers at these pitches that are already built.
+        ready: Searchers at these pitches, if they are already built.
     """
 
     poses: Database
@@ -44,11 +44,11 @@ class SearchedDatabase:
     ready: tuple[Searcher, ...] = ()
 
     def searcher(self, pitch_rad: float) -> Searcher:
-        """Return the poses ready for a camera of this pitch."""
+        """Build the searcher of a camera of this pitch."""
         return Searcher.of(self._before(pitch_rad), self.clusters)
 
     def searchers_tried(self) -> Iterable[Searcher]:
-        """Return searchers at the pitches that are tried, made one after the other unless at hand."""
+        """Yield a searcher for each pitch to try; build them one at a time unless they are `ready`."""
         return self.ready or (
             Searcher.of(self._before(pitch_rad).thinned(_MAX_PROJECTIONS)) for pitch_rad in self.pitches_rad
         )
@@ -59,7 +59,7 @@ class SearchedDatabase:
 
 @dataclass(frozen=True)
 class StatedCamera:
-    """What is known of the camera of a video.
+    """Facts that the user stated about the camera of a video.
 
     Args:
         pitch_rad: Its pitch, downwards; estimated if not given.
@@ -97,10 +97,10 @@ def reconstruct_sequence(
     Args:
         tracks: Tracks of people whose identities are resolved, at least one.
         database: Poses to match, without the takes that the video shows.
-        camera: What is known of the camera.
+        camera: Stated facts about the camera.
         options: Methods, clean-up and statures.
         sequence_id: Name of the video, for rows of the table of people in verdicts.
-        on_step: Called when the pitch is chosen, a track is matched, and a method has made its motion.
+        on_step: Called after the pitch is chosen, after each track is matched, and after each method.
 
     Raises:
         InputError: The height of the camera is not above 0, or the method `published` has no clusters.

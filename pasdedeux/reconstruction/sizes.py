@@ -1,4 +1,4 @@
-"""Sizes of people from stated facts: their statures, and the height of the camera over their floor."""
+"""Sizes of people from stated facts: statures, and the height of the camera over the floor."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.skeletons import OP14
 
 _MAX_CONTRADICTION, _MAX_CONTRADICTION_OF_TWO = 1.2, 1.3
-"""Largest plausible ratio of a stated stature to that by the height of the camera, and of heights of the camera by two
-statures: of 49 couples of nine families of takes, 4 are more than 1.2 apart and none 1.3."""
+"""Largest plausible ratios: of a stated stature to the one implied by the height of the camera, and of the heights
+implied by two statures.  Of 49 couples of nine families of takes, 4 differ by more than 1.2 and none by 1.3."""
 _STATURES_M = (1.2, 2.2)
-"""Plausible statures of people whose stature is not stated."""
+"""Range of plausible statures."""
 _ANKLE_HEIGHT_M = 0.07
 """Height of the ankle of the reference body over the floor, standing (Winter 2009, fig. 4.1: 0.039 of stature)."""
 _STANDING_PERCENT = 10.0
-"""Percentage of the frames in which the lower ankle is no higher than in standing."""
+"""Percentile of the height of the lower ankle that counts as standing."""
 _SIZE_RANGE = (0.5, 2.0)
-"""Plausible sizes by the height of the camera, as multiples of the reference body's."""
+"""Range of plausible sizes by the height of the camera, as multiples of the reference body."""
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
 
 def size_by_height(track: ReconstructedTrack, camera: DatabaseCamera, camera_height_m: float) -> float:
-    """Return the factor by which a person grows if the camera is this high above the floor.
+    """Return the factor that scales a person to the size implied by this height of the camera above the floor.
 
-    One camera does not see how large people are: body and path may grow together about the camera.  So does the floor
-    below it, on which ankles stand, so a camera of known height and pitch gives the size.  NaN if the feet are not
-    below the camera.
+    One camera does not show how large people are: scaling body and path about the camera leaves the image as it is.
+    But it also scales the distance of the floor, on which ankles stand, so a known height of the camera gives the size.
+    NaN if the feet are not below the camera.
     """
     upright = track.positions_m @ camera.camera_from_upright_rotmat
     lowest = upright[~track.is_bridged][:, _ANKLES, 1].min(axis=1)
@@ -43,7 +43,7 @@ def size_by_height(track: ReconstructedTrack, camera: DatabaseCamera, camera_hei
 
 
 def sized_by_height(track: ReconstructedTrack, camera: DatabaseCamera, camera_height_m: float) -> ReconstructedTrack:
-    """Return a track at its size by the height of the camera; unchanged if that is not plausible."""
+    """Scale a track to its size by the height of the camera; leave it as it is if that size is not plausible."""
     size = size_by_height(track, camera, camera_height_m)
     return track.scaled(size) if _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1] else track
 
@@ -51,14 +51,14 @@ def sized_by_height(track: ReconstructedTrack, camera: DatabaseCamera, camera_he
 def sized_by_stature(
     tracks: Sequence[ReconstructedTrack], statures_m: Mapping[int, float], *, has_one_size: bool = False
 ) -> tuple[ReconstructedTrack, ...]:
-    """Return tracks at the size that gives people their stature, as their legs tell it.
+    """Scale tracks so that people have their stated statures, estimated from their legs.
 
-    Body and path grow together about the camera, which sees no difference.
+    Body and path are scaled about the camera, which leaves the image as it is.
 
     Args:
         tracks: Camera axes, camera at the origin.
-        statures_m: Stature by person id; the others grow by the mean factor.
-        has_one_size: Everybody grows by one factor, so that places relative to each other are kept.
+        statures_m: Stature by person id; the others are scaled by the mean factor.
+        has_one_size: Scale everybody by one factor, which keeps their places relative to each other.
     """
     before_m = {track.person_id: stature_m(track) for track in tracks}
     growth = {name: after_m / before_m[name] for name, after_m in statures_m.items() if before_m.get(name, 0.0) > 0}
@@ -74,11 +74,11 @@ def statures_implied(
     statures_m: Mapping[int, float],
     camera_height_m: float | None,
 ) -> tuple[dict[int, float], list[str]]:
-    """Return statures by person id, stated or by the height of the camera, and contradictions in words.
+    """Return statures by person id, stated or implied by the height of the camera, and warnings about contradictions.
 
-    All stand on one floor, so one stature gives the height of the camera, and that the stature of the others.
+    All stand on one floor, so one stature implies the height of the camera, and with it the statures of the others.
     """
-    # Stature of a person before a camera one metre above the floor.
+    # Statures that a camera one metre above the floor would imply.
     per_metre = {track.person_id: size_by_height(track, camera, 1.0) * stature_m(track) for track in tracks}
     per_metre = {name: ratio for name, ratio in per_metre.items() if np.isfinite(ratio)}
     if camera_height_m is None:
@@ -98,7 +98,7 @@ def statures_implied(
 
 
 def _contradictions(per_metre: Mapping[int, float], statures_m: Mapping[int, float]) -> list[str]:
-    """Return in words which statures contradict each other by the height of the camera that each implies."""
+    """Return warnings about statures that imply different heights of the camera."""
     heights_m = {name: statures_m[name] / ratio for name, ratio in per_metre.items() if name in statures_m}
     doubts = [
         f"the camera would be {heights_m[name]:.2f} m above the floor by person {name} of {statures_m[name]:.2f} m, "
@@ -124,5 +124,5 @@ def _ratio(first: float, second: float) -> float:
 
 
 def stature_m(track: ReconstructedTrack) -> float:
-    """Return the stature of a person, as the legs tell it."""
+    """Return the stature of a person, estimated from the legs."""
     return float(np.median(body_height_m(OP14, bone_lengths(OP14, track.positions_m))))

@@ -27,7 +27,7 @@ from pasdedeux.settings import Settings
 
 
 def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 2) -> Array:
-    """Smooth rotations (frame, *batch, 4) offline: polynomial fits over a window, by component, back on the sphere.
+    """Smooth rotations (frame, *batch, 4) offline: fit polynomials to each component over a window, then normalise.
 
     Fitting components and normalising is exact to second order in the angle turned within the window.  The window
     shrinks for short motions; with fewer frames than `order` + 2 nothing is smoothed.
@@ -49,11 +49,11 @@ class OneEuro(Settings):
 
 
 class OneEuroFilter:
-    """The filter of Casiez, Roussel and Vogel (2012, algorithm 1), a frame at a time; a gap slows its rate down.
+    """The 1-euro filter (Casiez, Roussel and Vogel 2012, algorithm 1), one frame at a time; a gap lowers its rate.
 
-    On the sphere the difference to the last result is the rotation vector on the short arc, its low-passed value per
-    second is the velocity (0 at first), the length of that raises the cut-off, and the low-pass of the rotation is a
-    step along the arc.  About one fixed axis it is the filter of the angle.
+    For rotations, the difference from the last result is the rotation vector on the short arc.  Its low-passed value
+    per second is the velocity (0 at first), whose length raises the cut-off; the rotation then takes a step along the
+    arc.  About one fixed axis, this is the filter of the angle.
     """
 
     def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
@@ -108,7 +108,7 @@ def _filter(
 
 
 def bridge_gaps(unitquat: Array, is_known: Flags) -> Array:
-    """Fill frames that are not known on the short arc between their neighbours; the ends repeat the nearest known one.
+    """Interpolate unknown frames on the short arc between known ones; at the ends, repeat the nearest known frame.
 
     Args:
         unitquat: Rotations (frame, *batch, 4); unknown frames may hold anything.

@@ -1,6 +1,6 @@
-"""Choosing one candidate a frame: nearest, the paper's window rule, Viterbi with yaw and root rotation in the cost.
+"""Choose one candidate per frame: the nearest, by the paper's window rule, or by Viterbi with yaws in the cost.
 
-Viterbi decides each frame a fixed number of frames later, once; with the whole sequence as lag it is the usual one.
+Viterbi decides each frame once, a fixed number of frames later; with the whole sequence as lag, it is the usual form.
 """
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
 
 POSE_WEIGHT = 0.5
-"""Cost per metre of mean joint distance between where a candidate's motion goes next and the next candidate, both
-turned by their yaw; against 1 per metre of misfit in the image."""
+"""Cost per metre of mean joint distance between the continued motion of a candidate and the next candidate, both at
+their yaws; a metre of misfit in the image costs 1."""
 
 
 class FixedLagViterbi:
     """Viterbi through candidates as frames arrive: each frame is decided `lag` frames later, once.
 
-    Emission: the 2D distance.  Transition: `POSE_WEIGHT` times the mean joint distance between the
-    turned pose of the next candidate and the *continued* pose of the one before, that is its own pose moved on along
-    its motion by the time between the frames, for at most one frame.  A pose without a successor (draws have no past
-    and no future) continues as itself.  The cost of a change falls with the length of the gap between two frames,
-    because more may have happened in it.
+    Emission: the 2D distance.  Transition: `POSE_WEIGHT` times the mean joint distance between the turned pose of the
+    next candidate and the *continued* pose of the candidate before: its pose moved along its motion by the time between
+    the frames, for at most one frame.  A pose without a successor (draws have neither past nor future) stays as it is.
+    The cost falls with the length of the gap between two frames, because more may have happened in it.
 
     Args:
         database: Database searched.
@@ -50,13 +49,13 @@ class FixedLagViterbi:
         self._motion = np.zeros((2, 0, OP14.num_joints, 3), dtype=np.float32)
         self._num_decided = 0
         self.path: Integers = np.zeros(0, dtype=np.int64)
-        """Candidates, by the best path to the newest frame, from the first frame that was just decided on."""
+        """Ranks on the best path to the newest frame, from the first frame of the last decision on."""
 
     def push(self, frames: Integers, row: Integers, yaw_steps: Array, distance_m: Array) -> list[int]:
-        """Add the candidates of frames (n, k), each with one of finite distance; return the ranks that are due.
+        """Add the candidates of frames (n, k), at least one of finite distance each; return the ranks that are due.
 
         Args:
-            frames: Their numbers (n,), after those of the frames before.
+            frames: Their numbers (n,), larger than those before.
             row: Database rows (n, k).
             yaw_steps: Their yaws in steps of the database, also between them.
             distance_m: Their distances in the image; inf where there is no candidate.
@@ -79,7 +78,7 @@ class FixedLagViterbi:
         return self.decide_until(self._frames[-1] - self._lag)
 
     def decide_until(self, frame: int) -> list[int]:
-        """Decide every frame up to this one, by the best path to the newest; return their ranks in order of frames."""
+        """Decide all frames up to this one by the best path to the newest frame; return their ranks in order."""
         if len(self._frames) <= self._num_decided or self._frames[self._num_decided] > frame:
             return []
         ranks = [int(np.argmin(self._cost))]
@@ -88,7 +87,7 @@ class FixedLagViterbi:
         self.path = np.array(ranks[::-1][self._num_decided :], dtype=np.int64)
         waiting = list(self._frames)[self._num_decided :]
         decided = self.path[: bisect_right(waiting, frame)].tolist()
-        # The newest decided frame stays: it is where the paths of later frames start from.
+        # Keep the newest decided frame: the paths of later frames start from it.
         for _ in range(self._num_decided + len(decided) - 1):
             self._frames.popleft()
             self._back.popleft()
@@ -106,7 +105,7 @@ def choose_viterbi(
 ) -> Integers:
     """Return the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
 
-    See `FixedLagViterbi` for the costs.  Frames without candidates are jumped over.
+    See `FixedLagViterbi` for the costs.  Frames without candidates are skipped.
 
     Args:
         database: Database searched.
@@ -135,7 +134,7 @@ def choose_window(
     average wins.  The log of a unit quaternion is half its rotation vector.  Each of the window's frames weighs less
     the further back it lies (1/1, 1/2, ...), for the paper weighs them "differently" without saying how.  Candidates
     with fewer previous frames are compared over those they have; with none they keep only the distance of the first.
-    Yaw turns the frame of the body of both.  The first frame takes the nearest candidate.
+    Yaw turns the frame of the body in both.  The first frame takes the nearest candidate.
     """
     ranks = np.full(len(neighbours.projection), -1, dtype=np.int64)
     starts = np.flatnonzero(database.is_sequence_start)
@@ -143,7 +142,7 @@ def choose_window(
     yaws = neighbours.yaw_index if yaw_steps is None else yaw_steps
     candidates = neighbours.row[neighbours.projection >= 0]
     used = np.unique(np.maximum(candidates[:, None] - np.arange(window + 1), 0))
-    # Facing +Z; computed once, because yaw turns the neck alone.
+    # Facing +Z; computed once, because a yaw changes only the rotation of the neck.
     unitquat = bone_rotations(database.poses_m[used].astype(np.float64))
 
     def turned(rows: Integers, yaw: npt.ArrayLike) -> Array:
@@ -184,18 +183,18 @@ def choose_window(
 def _extend_paths(
     pose: Floats32, following: Floats32, emission: Array, share: Array, weight: Array, cost: Array, motion: Floats32
 ) -> tuple[Array, Floats32, Integers]:
-    """Return the least cost (k,) of paths to the last of new frames, its motion, and where paths come from (n, k).
+    """Return the least costs (k,) of paths to the last new frame, its motion, and the predecessors on the paths (n, k).
 
-    Ties go to the lower rank; only differences of costs count, so the least is taken off each frame's.
+    Ties go to the lower rank.  Only differences of costs matter, so the least cost of each frame is subtracted.
 
     Args:
         pose: Candidates of the new frames (n, k, 14, 3).
-        following: Where they go by the next frame of the database.
+        following: Their poses in the next frame of the database.
         emission: Cost of each candidate; inf where there is none.
         share: Part of a frame of the database that passes before each new frame (n,).
         weight: Cost per metre of mean joint distance to the frame before (n,).
         cost: Costs of the frame before the new ones (j,); empty for the first.
-        motion: Its candidates, and where they go (2, j, 14, 3).
+        motion: Its candidates, and their poses in the next frame of the database (2, j, 14, 3).
     """
     frames, count, joints = pose.shape[0], pose.shape[1], pose.shape[2]
     back = np.full((frames, count), -1, dtype=np.int64)

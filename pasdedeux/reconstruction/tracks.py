@@ -1,4 +1,4 @@
-"""Tracks: one person's keypoints over every frame from first to last, gaps as not seen, and the lens that saw them."""
+"""Tracks: the keypoints of one person in every frame from the first to the last, and the lens; gaps are not seen."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ TRACK_COLUMNS = (
     "image_height_px",
     "focal_px",
 )
-"""Columns of the table of annotations that tracks are made of."""
+"""Columns of the table of annotations from which tracks are made."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole camera: focal length and principal point, pixels, y down; assumed if not known."""
+    """Focal length and principal point of a pinhole camera, pixels, y down; assumed if not known."""
 
     focal_px: float
     principal_point_px: tuple[float, float]
@@ -41,16 +41,16 @@ class Lens:
     def assumed(
         cls, width_px: float | None, height_px: float | None, keypoints_px: Array, focal_px: float | None = None
     ) -> Lens:
-        """Return the lens with this focal length, or that of a common camera, for this image size.
+        """Return the lens for this image size and focal length; without one, that of a common camera.
 
-        An unknown size is estimated from where keypoints lie.
+        An unknown image size is estimated from the keypoints.
         """
         if width_px is not None and height_px is not None:
             longer, middle = float(max(width_px, height_px)), (width_px / 2.0, height_px / 2.0)
         else:
             is_seen = np.isfinite(keypoints_px).all(axis=-1)
             seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
-            # People are filmed about the middle, and an image is about 16:9.
+            # Assume that people are near the middle of an image of 16:9.
             x, y = (float(value) for value in 0.5 * (seen.min(axis=0) + seen.max(axis=0)))
             longer, middle = 2.0 * max(x, 16.0 / 9.0 * y, 1.0), (x, y)
         return cls(focal_px or FOCAL_OVER_WIDTH * longer, middle, focal_px is not None)
@@ -64,11 +64,11 @@ class Track:
         keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
         confidence: (frame, 14), 0 where not seen.
         rate_hz: Frames per second.
-        lens: The camera as far as it is known.
+        lens: The lens, as far as it is known.
         person_id: Person in the sequence.
-        first_frame: Frame of the sequence that the track begins with.
+        first_frame: Frame of the sequence at which the track begins.
         first_time_s: Time of that frame.
-        partner_id: Person of the sequence that this one is paired with; None for nobody.
+        partner_id: The partner of this person in the sequence; None for nobody.
     """
 
     keypoints_px: Array
@@ -105,7 +105,7 @@ class Track:
         return self.chosen(slice(None, None, stride), self.rate_hz / stride)
 
     def chosen(self, frames: Integers | slice, rate_hz: float) -> Track:
-        """Return some frames, counted from the first of the track, as frames that follow each other at this rate."""
+        """Return some frames, counted from the first, as a track of this rate."""
         return replace(
             self, keypoints_px=self.keypoints_px[frames], confidence=self.confidence[frames], rate_hz=rate_hz
         )
@@ -120,8 +120,8 @@ def tracks_of(annotations: Mapping[str, Any], sequence_id: str) -> list[Track]:
     """Return the tracks of one sequence, by person id.
 
     Args:
-        annotations: `sequence_id` and `TRACK_COLUMNS` of the table of annotations, by name; numbers that are not known
-            are NaN or None.
+        annotations: `sequence_id` and `TRACK_COLUMNS` of the table of annotations, by name; unknown numbers are NaN or
+            None.
         sequence_id: The sequence.
 
     Raises:
@@ -158,9 +158,10 @@ def tracks_of(annotations: Mapping[str, Any], sequence_id: str) -> list[Track]:
 
 
 def broken_doubts(sequence_id: str, tracks: Sequence[Track]) -> dict[int, str]:
-    """Return by person id that a track ends where another begins, and the row of the table of people that joins them.
+    """Return warnings by person id: a track ends where another begins.
 
-    The row replaces that of the person in those frames, see `people.decisions`.
+    Each shows the row of the table of people that joins them; it replaces the row of the person in those frames, see
+    `people.decisions`.
     """
     if len(tracks) < 2:
         return {}

@@ -1,8 +1,8 @@
-"""Yaw between the steps of the database: each candidate turned to where its image lies nearest to the query.
+"""Refine yaws between the steps of the database: turn each candidate until its image is nearest to the query.
 
-A yaw step of 12 degrees leaves up to 6, which moves a hand 0.7 m from the axis by 7 cm.  The metric along the yaw of
-one pose is a sum of distances between points and smooth curves; over a step to either side it is searched at a few
-places, and about the best of them by golden section.  The yaw of the step itself is one of the places, so the cost
+A yaw step of 12 degrees leaves an error of up to 6, which moves a hand 0.7 m from the axis by 7 cm.  Along the yaw of
+one pose, the metric is a sum of distances between points and smooth curves.  It is evaluated at a few places up to one
+step to either side, then by golden section about the best of them.  The original yaw is one of the places, so the cost
 never grows.
 """
 
@@ -20,7 +20,7 @@ from pasdedeux.projections.search import Neighbours, prepare_query
 from pasdedeux.skeletons import OP14
 
 _NUM_PLACES = 9
-"""Places looked at over two steps, the candidate's own in the middle."""
+"""Places evaluated over two steps; the candidate's own yaw is in the middle."""
 _NUM_SECTIONS = 14
 """Golden sections: 0.618^14 of a quarter step is 0.06 mrad."""
 
@@ -28,17 +28,17 @@ _NUM_SECTIONS = 14
 def refine_yaws(
     database: Database, neighbours: Neighbours, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None
 ) -> tuple[Neighbours, Array]:
-    """Turn each neighbour (*batch, k) of queries (*batch, 14, 2) to the yaw of least distance within one step.
+    """Turn each neighbour (*batch, k) of queries (*batch, 14, 2) to the yaw of least distance, up to one step away.
 
     Args:
         database: Database searched.
-        neighbours: What was found.
-        query_m: The queries it was found for.
+        neighbours: Neighbours of the queries.
+        query_m: The queries.
         weights: Their weights (*batch, 14).
 
     Returns:
-        The neighbours with their distances there, nearest first, and their yaws (*batch, k) in steps of the database,
-        what `Database.turned` takes; not reduced to one turn.
+        The neighbours with their new distances, nearest first, and their yaws (*batch, k) in steps of the database, as
+        `Database.turned` takes them; not reduced to one turn.
     """
     query, weight = prepare_query(query_m, weights)
     shape = neighbours.projection.shape
@@ -90,7 +90,7 @@ def _refine(
     yaw: Array,
     distance: Array,
 ) -> None:
-    """Move `yaw`, in steps, note `distance` there and put what is nearer first; ties stay as they were."""
+    """Refine `yaw` (in steps), write `distance`, and sort by distance; ties keep their order."""
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     width = 2.0 * step / (_NUM_PLACES - 1)
     for at in range(query.shape[0]):

@@ -1,4 +1,4 @@
-"""Two bodies in a frame together: they do not pass through each other, and hands that keep their place touch."""
+"""Two bodies that share a frame: they do not pass through each other, and hands that stay in place touch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HANDS = [
     place for place, (_, child) in enumerate(OP14.bones) if OP14.joint_names[child] in ("left_wrist", "right_wrist")
 ]
 _TOUCH_IMAGE_M, _TOUCH_S, _TOUCH_KEEP_M = 0.05, 3.0, 0.1
-"""Hands no further from the other's image may touch, if they stay so long and move along the bone by no more."""
+"""A hand may touch if it is at most so far from the other's image, for so long, and moves along the bone by no more."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class SurfaceTerm(SceneTerm):
         apart = ends[1][0] - ends[0][0]
         along = apart / np.maximum(unit * np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
         moved = np.stack([-(ends[0] * along).sum(axis=-1), (ends[1] * along).sum(axis=-1)])
-        # Bodies grow thicker, and the deviation wider.
+        # Growing bodies become thicker, and the deviation wider.
         people = list(self.couple.people)
         sizes, radii = scene.sizes[people], np.take_along_axis(scene.radii_m(self.couple), joints, axis=1)
         grown = moved[:, By.SIZE] - radii / unit - 0.5 * gaps * (sizes / sizes.mean())[:, None]
@@ -75,10 +75,10 @@ class SurfaceTerm(SceneTerm):
 
 @dataclass(frozen=True)
 class GapTerm(SurfaceTerm):
-    """The bones that are nearest, where they pass through each other: bodies do not.
+    """Gap between the nearest bones, where bodies overlap.
 
     Args:
-        is_carrying: One of the two carries the other, so that they touch all the time.
+        is_carrying: Whether one of the two carries the other, so that they touch all the time.
     """
 
     is_carrying: bool = False
@@ -96,12 +96,12 @@ class GapTerm(SurfaceTerm):
 
 @dataclass(frozen=True)
 class TouchTerm(SurfaceTerm):
-    """A hand and the bone of the other that it touches in the image, where they are apart.
+    """Gap between a hand and the bone of the other that it touches in the image, where they are apart.
 
-    A hand before the other's image need not be on it: it makes no place well known.
+    A hand in front of the other's image need not be on the body, so this term makes no place more certain.
 
     Args:
-        touching: Whether each hand may be on each bone of the other (frame of both, A's two hands and B's two, bone).
+        touching: Whether each hand may be on each bone of the other (shared frame, A's two hands and B's two, bone).
     """
 
     touching: Flags
@@ -110,7 +110,7 @@ class TouchTerm(SurfaceTerm):
     is_certain = False
 
     def bones(self, scene: PlacedPeople) -> tuple[Integers, Integers]:
-        """Return the frames and bones of each touch: of each hand the nearest bone that it may be on."""
+        """Return frames and bones of each touch: for each hand, the nearest bone on which it may be."""
         bone = np.where(self.touching, _of_hands(scene.gaps[self.couple.people].gap_m), np.inf).argmin(axis=2)
         rows, hand = np.nonzero(self.touching.any(axis=2))
         bones = np.stack([np.array(_HANDS * 2)[hand], bone[rows, hand]])
@@ -122,9 +122,9 @@ class TouchTerm(SurfaceTerm):
 
 
 def touching_hands(seen: SeenPeople, couple: Couple) -> Flags:
-    """Return on which bones of the other each hand (frame of both, A's two and B's two, bone) keeps its place.
+    """Tell on which bones of the other each hand stays in the image (shared frame, A's two hands and B's two, bone).
 
-    In the image alone: a hand that only passes before the other, or dances there, moves along the bone.
+    A hand that only passes or dances in front of the other moves along the bone.
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # here: 0.2 s that planning does not need
 
@@ -146,6 +146,6 @@ def touching_hands(seen: SeenPeople, couple: Couple) -> Flags:
 
 
 def _of_hands(first: Array, second: Array | None = None) -> Array:
-    """Return what (frame, bone of A, bone of B) is of A's hands and every bone of B, B's hands and every one of A."""
+    """Choose from (frame, bone of A, bone of B): A's hands with each bone of B, then B's hands with each bone of A."""
     second = first if second is None else second
     return np.concatenate([first[:, _HANDS], second[:, :, _HANDS].swapaxes(1, 2)], axis=1)

@@ -1,4 +1,4 @@
-"""The floor that everybody stands on."""
+"""The floor on which everybody stands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ANKLE_HEIGHT = 0.04
 
 
 def heights_m(scene: PlacedPeople, number: int) -> Array:
-    """Return how far the surface of each joint of a person is above the floor (frame, 14), metres."""
+    """Return the height of the body's surface at each joint of a person over the floor (frame, 14), metres."""
     seen, x = scene.seen, scene.x
     bearing = _bearing_m(seen.people[number]) * scene.sizes[number] + x[seen.ankles[number]]
     height = scene.height_m + x[Unknown.TILT] * seen.mean_distance_m
@@ -35,14 +35,15 @@ def heights_m(scene: PlacedPeople, number: int) -> Array:
 class FloorTerm(SceneTerm):
     """(lowest joint . up + height - its radius) / (size * deviation): the lowest part of a person is on the floor.
 
-    Errors of poses in depth tilt the floor, which is not the pitch: up has the tilt added along the camera's axis.
-    People above the floor leap, or stand on something, and have little weight (robust); nobody is below it.
+    Errors of poses in depth tilt the floor without changing the pitch, so the tilt is added to the upright axis along
+    the camera's axis.  People above the floor leap or stand on something, and have little weight (robust); nobody is
+    below it.
 
     Args:
         person: Number of the person.
-        is_carried: The person is not on the floor, though not below it.
-        deviation_m: Standard deviation of the lowest part from the floor, at the initial size: errors of poses grow
-            with people, so nobody gains by being small.
+        is_carried: Whether the person may be above the floor; nobody is below it.
+        deviation_m: Standard deviation of the lowest part from the floor, at the initial size.  It grows with the size,
+            as errors of poses do, so that small sizes do not lower the cost.
     """
 
     person: int
@@ -84,7 +85,7 @@ class FloorTerm(SceneTerm):
         return Jacobian(columns, slopes * (residual < 0.0)[:, None] if self.is_carried else slopes)
 
     def robust(self, residual: Array) -> Flags:
-        """Return which residuals have less weight: those of people above the floor."""
+        """Tell which residuals are robust: those of people above the floor."""
         return residual > 0
 
 
@@ -93,7 +94,7 @@ def _up_tilted(scene: PlacedPeople) -> Array:
 
 
 def _bearing_m(person: SeenPerson) -> Array:
-    """Return the height over the floor of each joint (14,) that bears a person."""
+    """Return the height of each joint (14,) over the floor when it bears the person."""
     bearing = np.array(person.radii_m)
     bearing[ANKLES] = _ANKLE_HEIGHT * person.stature_m
     return bearing

@@ -13,11 +13,11 @@ from pasdedeux.reconstruction.terms.term import Jacobian, SceneTerm
 
 @dataclass(frozen=True)
 class ImageTerm(SceneTerm):
-    """(l(t) - log size - log lens) / deviation: the log distance l follows from size and lens, as the image looks.
+    """(l(t) - log size - log lens) / deviation: the log distance l follows from size and lens, given the image.
 
     Args:
         person: Number of the person.
-        deviation: Standard deviation of the log of the size in the image: poses differ.
+        deviation: Standard deviation of the log of the size in the image, due to errors of poses.
     """
 
     person: int

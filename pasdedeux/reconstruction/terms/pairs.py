@@ -1,4 +1,4 @@
-"""How far apart in depth the two people of a couple are, by pairs of a database that look like both."""
+"""The depth between the two people of a couple, by pairs of a database that look like both."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _SIGNS = np.array([-1.0, 1.0])[:, None, None]
 class PairTerm(SceneTerm):
     """(nearer / size - depth) / deviation: how much nearer the second is along the ray to the middle of both.
 
-    The size is the geometric mean of both, because pairs were looked up at the initial size.  Pairs tell of the couples
-    that the database holds: where they are wrong they are so all the time.
+    The size is the geometric mean of both, because pairs were searched at the initial size.  The database holds certain
+    couples: where its pairs are wrong, they are wrong all the time.
 
     Args:
-        pair: What pairs of a database say.
+        pair: The depth by pairs of a database.
     """
 
     pair: PairDepth

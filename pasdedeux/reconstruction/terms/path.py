@@ -48,7 +48,7 @@ class StanceTerm(SceneTerm):
     Args:
         person: Number of the person, in three frames at least.
         deviation_m_s: Standard deviation of the speed in depth of a foot that stands.
-        still_m_s: Feet slower than this across the image stand.
+        still_m_s: Speed across the image below which feet stand.
     """
 
     person: int
@@ -80,7 +80,7 @@ class StanceTerm(SceneTerm):
         return before, after
 
     def _stillness(self, scene: PlacedPeople) -> Array:
-        """Return how much each foot stands (frame, foot), by its speed across the image."""
+        """Return how surely each foot stands (frame, foot), 0 to 1, by its speed across the image."""
         track = scene.seen.people[self.person].track
         speed = np.linalg.norm(np.gradient(track.positions_m[:, ANKLES, :2], axis=0), axis=-1) * scene.seen.rate_hz
         return np.where(track.is_bridged[:, None], 0.0, 1.0 / (1.0 + (speed / self.still_m_s) ** 4))

@@ -1,4 +1,4 @@
-"""The pitch of the camera, as the image of people tells it."""
+"""The pitch of the camera, by the image of people."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _GIVEN_RAD = 1e-3
 
 @dataclass(frozen=True)
 class PitchTerm(SceneTerm):
-    """(mean over frames of arcsin(-ray . up) - pitch) / deviation: how far rays to people look down suits their image.
+    """(mean over frames of arcsin(-ray . up) - pitch) / deviation: the downward angle of rays to people.
 
-    Of a stated pitch it is (x - pitch) / deviation.
+    For a stated pitch, it is (x - pitch) / deviation.
 
     Args:
         pitch: Estimate of the pitch from the image.
@@ -28,7 +28,7 @@ class PitchTerm(SceneTerm):
     pitch: PitchEstimate
 
     def off_rad(self, scene: PlacedPeople) -> float:
-        """Return how much farther down rays look than the image shows; for a stated pitch, the camera."""
+        """Return how much farther down rays to people (for a stated pitch, the camera) look than the estimate."""
         if self.pitch.is_given:
             return float(scene.x[Unknown.PITCH] - self.pitch.pitch_rad)
         return float(np.arcsin(self._down(scene, self._rays(scene))).mean() - self.pitch.pitch_rad)

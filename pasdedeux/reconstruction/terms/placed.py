@@ -1,4 +1,4 @@
-"""The people of a video as they are seen, and where given unknowns of the scene put them."""
+"""The people of a video as they are seen, and their places for given unknowns of the scene."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _ACROSS = np.array([1.0, 1.0, 0.0])
 
 
 class Unknown(IntEnum):
-    """Indices of the unknowns that belong to no single person; `SeenPeople` has those of people.
+    """Indices of the unknowns of the whole scene; `SeenPeople` has those of people.
 
     Pitch of the camera (rad), log of its height (m), log of its focal length over the assumed one, and the slope of the
-    floor that errors of poses in depth cause.
+    floor caused by errors of poses in depth.
     """
 
     PITCH = 0
@@ -38,7 +38,7 @@ class Unknown(IntEnum):
 
 
 class By(IntEnum):
-    """Places of the derivatives in `PlacedPeople.joints`: by a frame's log distance, by log size, by log lens."""
+    """Indices of the derivatives in `PlacedPeople.joints`: by a frame's log distance, by log size, by log lens."""
 
     DISTANCE = 1
     SIZE = 2
@@ -67,7 +67,7 @@ def by_lens(rays: Array) -> Array:
 
 
 def beside(*columns: npt.ArrayLike) -> Any:
-    """Return columns (n,), or numbers that all rows have, side by side (n, k)."""
+    """Return columns (n,), or numbers for all rows, side by side (n, k)."""
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
@@ -103,14 +103,14 @@ class SeenPerson:
 
     @cached_property
     def relative_m(self) -> Array:
-        """Joints about the mid-hip (frame, 14, 3), as a camera turned to it sees them."""
+        """Joints about the mid-hip (frame, 14, 3), in axes of a camera turned to it."""
         towards = -self.track.root_m / self.distance_m[:, None]
         back = conjugate(camera_turns(towards))[:, None]
         return rotate(back, self.track.positions_m - self.track.root_m[:, None])
 
     @cached_property
     def stature_m(self) -> float:
-        """Stature, as the legs tell it."""
+        """Stature, estimated from the legs."""
         return float(body_height_m(OP14, np.median(bone_lengths(OP14, self.track.positions_m), axis=0)))
 
     @cached_property
@@ -121,10 +121,10 @@ class SeenPerson:
 
 @dataclass(frozen=True)
 class Couple:
-    """Two people that some frames share.
+    """Two people who share some frames.
 
     Args:
-        sides: The number of each, and those frames (n,), counted from the first of that person.
+        sides: The number of each person, and the shared frames (n,), counted from that person's first.
     """
 
     sides: tuple[tuple[int, Integers], ...]
@@ -136,40 +136,40 @@ class Couple:
 
     @property
     def num_frames(self) -> int:
-        """Number of frames that show both."""
+        """Number of shared frames."""
         return len(self.sides[0][1])
 
 
 @dataclass(frozen=True)
 class SeenPeople:
-    """Everybody in a video, and the places of their unknowns."""
+    """Everybody in a video, and the indices of their unknowns."""
 
     people: tuple[SeenPerson, ...]
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second, the same of everybody."""
+        """Frames per second, the same for everybody."""
         return self.people[0].track.track.rate_hz
 
     @property
     def sizes(self) -> Integers:
-        """Places of the logs of the sizes (person,)."""
+        """Indices of the logs of the sizes (person,)."""
         return len(Unknown) + np.arange(len(self.people))
 
     @property
     def ankles(self) -> Integers:
-        """Places of the offsets of the ankles, metres (person,)."""
+        """Indices of the offsets of the ankles, metres (person,)."""
         return self.sizes + len(self.people)
 
     @cached_property
     def starts(self) -> Integers:
-        """Place of the log of the first distance of each person, and of the end of all (person + 1,)."""
+        """Index of the log of the first distance of each person; last, the number of unknowns (person + 1,)."""
         counts = [len(person.distance_m) for person in self.people]
         return np.asarray(self.ankles[-1] + 1 + np.concatenate([[0], np.cumsum(counts)]))
 
     @cached_property
     def mean_distance_m(self) -> float:
-        """Mean initial distance of all in all frames."""
+        """Mean initial distance over all people and frames."""
         return float(np.mean(np.concatenate([person.distance_m for person in self.people])))
 
     @cached_property
@@ -185,13 +185,13 @@ class SeenPeople:
         return couples
 
     def distances(self, number: int) -> Integers:
-        """Return the places of the distances of a person (frame,)."""
+        """Return the indices of the logs of a person's distances (frame,)."""
         return np.arange(self.starts[number], self.starts[number + 1])
 
 
 @dataclass(frozen=True)
 class PlacedPeople:
-    """Everybody where the unknowns put them.
+    """Everybody in the places given by the unknowns.
 
     Args:
         seen: The people.
@@ -205,7 +205,7 @@ class PlacedPeople:
 
     @property
     def height_m(self) -> float:
-        """Height of the camera over the floor, below 0 under it."""
+        """Height of the camera over the floor; negative below it."""
         return self.side * float(np.exp(self.x[Unknown.HEIGHT]))
 
     @cached_property
@@ -226,7 +226,7 @@ class PlacedPeople:
         ray = rays_through(person.plane, float(np.exp(x[Unknown.LENS])))
         root = (person.distance_m * np.exp(x[self.seen.distances(number)]))[:, None] * ray
         relative = rotate(camera_turns(-ray)[:, None], person.relative_m) * self.sizes[number]
-        # A longer lens turns rays towards the axis, and people with them.
+        # A longer lens turns rays, and people with them, towards the axis.
         root_by_lens = np.linalg.norm(root, axis=1, keepdims=True) * by_lens(ray)
         turned = (relative[..., :2] * ray[:, None, :2]).sum(axis=-1) * ray[:, 2:]
         # Every joint stays on its own ray, whatever the lens.
@@ -240,7 +240,7 @@ class PlacedPeople:
 
     @cached_property
     def gaps(self) -> dict[tuple[int, int], Gaps]:
-        """Gaps between the bodies of two people in the frames that show both, by their numbers."""
+        """Gaps between the bodies of two people in shared frames, by their numbers."""
         return {
             couple.people: surface_gaps(
                 np.stack([self.joints[number][0, at, :-1] for number, at in couple.sides], axis=1),

@@ -25,9 +25,9 @@ class PriorTerm(SceneTerm):
     """(x_i - wanted_i) / deviation_i.
 
     Args:
-        unknowns: Places of the unknowns i (n,).
-        wanted: Their most likely values (n,), or one of all.
-        deviations: Standard deviations of these (n,), or one of all.
+        unknowns: Indices of the unknowns i (n,).
+        wanted: Their most likely values (n,), or one for all.
+        deviations: Their standard deviations (n,), or one for all.
     """
 
     unknowns: npt.ArrayLike
@@ -49,7 +49,7 @@ def stature_term(seen: SeenPeople, statures_m: Mapping[int, float]) -> PriorTerm
 
     Args:
         seen: The people.
-        statures_m: Stature by person id, where it is known.
+        statures_m: Known statures by person id.
     """
     stated = [statures_m.get(person.track.person_id) for person in seen.people]
     wanted = [stature_m or _STATURE_M for stature_m in stated] / np.array([person.stature_m for person in seen.people])

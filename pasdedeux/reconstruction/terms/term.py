@@ -1,4 +1,4 @@
-"""What every term of the scene estimate gives: residuals in standard deviations, and their Jacobian."""
+"""The interface of terms of the scene estimate: residuals in standard deviations, and their Jacobian."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Jacobian(NamedTuple):
     """Derivatives of residuals, each by a few unknowns.
 
     Args:
-        columns: Unknowns that each residual depends on (n, k).
-        slopes: Its derivatives by these (n, k).
+        columns: Indices of the unknowns of each residual (n, k).
+        slopes: Its derivatives by them (n, k).
     """
 
     columns: Integers
@@ -27,9 +27,9 @@ class SceneTerm(ABC):
     """Residuals of one kind.
 
     Attributes:
-        is_robust: Outliers count less.
-        is_certain: Counts in the deviation of places: what may be wrong all the time makes no place well known.
-        alike_s: Frames within this time err alike and count as one.
+        is_robust: Whether outliers have less weight.
+        is_certain: Whether the term counts in the deviation of places; terms that may be wrong all the time do not.
+        alike_s: Errors of frames within this time are alike, so that they count as one.
     """
 
     is_robust: ClassVar[bool] = False
@@ -45,9 +45,9 @@ class SceneTerm(ABC):
         """Return their derivatives by the unknowns."""
 
     def robust(self, residual: Array) -> Flags:
-        """Tell which residuals (n,) count less if they are outliers."""
+        """Tell which residuals (n,) have less weight if they are outliers."""
         return np.full(residual.shape, self.is_robust)
 
     def share(self, seen: SeenPeople) -> float:
-        """Return how much each residual counts."""
+        """Return the weight of each residual."""
         return 1.0 / max(1.0, self.alike_s * seen.rate_hz)

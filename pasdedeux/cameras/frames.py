@@ -1,4 +1,4 @@
-"""The pair's local frame, views given in it, and projections of a pair under such a view.
+"""The local frame of a pair, views in that frame, and projections of a pair under a view.
 
 Lift eq. 3 (Yin et al. 2018): i points from root 1 to root 2, j along both backbones, k = i x j.  A view is the
 direction to the camera as coordinates (a, b, c) in that frame, scaled to length 1.
@@ -21,7 +21,7 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 
 MIN_SINE = 0.2
-"""Least sine of the angle between i and j (12 degrees); where they are more parallel, i is turned away from j."""
+"""Smallest sine of the angle between i and j (12 degrees); if they are more parallel, i is turned away from j."""
 
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 
@@ -55,9 +55,9 @@ def local_frame(roots: Array, backbones: Array) -> LocalFrame:
         roots: Roots of the two people, (*batch, person=2, 3), metres.
         backbones: Vectors from pelvis to neck, (*batch, person=2, 3), of any length.
 
-    Where i is within 12 degrees of j (one person above the other) the published frame loses a dimension; there i is
-    turned away from j, in their common plane, to 12 degrees, so that coordinates stay bounded.  Opposite backbones
-    have no mean: person A's alone is used.  Coinciding roots have no i: it is taken square to j.
+    If i is within 12 degrees of j (one person above the other), the published frame loses a dimension.  Then i is
+    turned away from j, in their common plane, to 12 degrees, so that coordinates stay bounded.  Opposite backbones have
+    no mean, so person A's alone is used.  Coinciding roots have no i, so it is taken square to j.
     """
     axes = _frames(*(np.ascontiguousarray(one, dtype=np.float64).reshape(-1, 2, 3) for one in (roots, backbones)))
     return LocalFrame(axes.reshape(*np.shape(roots)[:-2], 3, 3))
@@ -101,7 +101,7 @@ def frame_columns(between: Vector, backbone_a: Vector, backbone_b: Vector) -> tu
 
 @inner_kernel()
 def square_to(axis: Vector) -> Vector:
-    """Return what is square to a unit vector of the world axis that is most so."""
+    """Return the part, square to a unit vector, of the world axis that is most nearly square to it."""
     x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])
     if x <= y and x <= z:
         helper = (1.0, 0.0, 0.0)
@@ -142,7 +142,7 @@ def project_pair(pair17_m: Array, direction: Array) -> Array:
 def true_direction(pair17_m: Array, camera: PinholeCamera) -> Array:
     """Return the true views (*batch, 3) of pairs (*batch, person=2, joint=17, 3) seen by a camera.
 
-    A pinhole sees the pair along the line from the middle of the two roots to the camera, not along its optical axis.
+    The view of a pinhole is the direction from the middle of the two roots to the camera, not its optical axis.
     """
     middle = pair17_m[..., _PELVIS, :].mean(axis=-2)
     return pair_frame(pair17_m).coordinates(normalise(camera.position_m - middle))
@@ -151,8 +151,8 @@ def true_direction(pair17_m: Array, camera: PinholeCamera) -> Array:
 def angles_of_direction(direction: Array) -> tuple[Array, Array]:
     """Return (psi, phi) of views (*batch, 3), radians: lift eq. 4 with atan2, so psi covers the full circle.
 
-    psi is the azimuth in the plane of i and k, from i, in (-pi, pi]; phi the polar angle from j, in [0, pi].  Straight
-    along j psi is 0.
+    psi is the azimuth in the plane of i and k, from i, in (-pi, pi]; phi the polar angle from j, in [0, pi].  Along j,
+    psi is 0.
     """
     unit = normalise(np.asarray(direction, dtype=np.float64))
     psi = np.arctan2(unit[..., 2], unit[..., 0])

@@ -1,4 +1,4 @@
-"""Orthographic projection and the link between pixels and metres in the image plane."""
+"""Orthographic projection, and conversion from pixels to metres in the image plane."""
 
 from __future__ import annotations
 

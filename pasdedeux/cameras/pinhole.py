@@ -31,7 +31,7 @@ class PinholeCamera:
         principal_point_px: Pixel on the optical axis, (2,), x right and y down.
         camera_from_world_rotmat: Rotation from world to camera axes, (3, 3).
         position_m: World position of the camera, (3,), metres.
-        image_size_px: Width and height of the image, for `is_inside`; pixels outside are projected all the same.
+        image_size_px: Width and height of the image, for `is_inside`; points outside are projected, too.
 
     Raises:
         InputError: The focal length is not positive, a shape is wrong, a value is not finite, the matrix is not a
@@ -61,7 +61,7 @@ class PinholeCamera:
 
     @property
     def pitch_rad(self) -> float:
-        """How far the camera looks down, in a world whose y is up, however it is rolled about its axis."""
+        """Angle by which the camera looks down, in a world whose y is up, whatever its roll."""
         return float(np.arcsin(np.clip(self.camera_from_world_rotmat[2, 1], -1.0, 1.0)))
 
     def camera_from_world(self, points: Array) -> Array:
@@ -92,7 +92,8 @@ class PinholeCamera:
         """Return the camera of this lens and orientation that sees world points (n, 3), metres, at pixels (n, 2).
 
         Its place is by least squares: in camera axes every point, displaced by t, lies on its ray (u, v, -1), so that
-        x + t_x + u (z + t_z) = 0, and so with y, which is linear in t.  Two points determine it; NaN do not count.
+        x + t_x + u (z + t_z) = 0, and so with y, which is linear in t.  Two points determine it; points with NaN are
+        ignored.
 
         Raises:
             InputError: The points do not determine it.

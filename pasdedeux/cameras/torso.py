@@ -1,7 +1,8 @@
 """The torso: its low-rank basis, and 3D torsos from their 2D joints.
 
 Yin et al. (2018) take the backbones for their view estimate from a lifted torso.  The torso is nearly planar, so a
-weak-perspective image fixes its scale and its turn up to one twin: the torso mirrored in depth.  Both are given.
+weak-perspective image determines its scale and its turn up to one twin: the torso mirrored in depth.  Both are
+returned.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pasdedeux.skeletons import PAIR17
 TORSO_JOINTS = ("pelvis", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
 TORSO_INDICES = PAIR17.indices(TORSO_JOINTS)
 MIN_TORSO_JOINTS = 4
-"""A torso with fewer joints seen is not lifted."""
+"""Smallest number of seen joints of a torso that is lifted."""
 
 NOISE_SHARE = 0.05
 """Standard deviation of a 2D joint as a share of the torso's extent in the image (root mean square, about 0.25 m)."""
@@ -65,7 +66,7 @@ class LiftedTorsos:
         metres_per_pixel: Scale of the person, (n, twin).
         root_px: Pelvis in the image, fitted (also where it was not seen), x right, y down, (n, twin, 2).
         log_scale_deviation: Standard deviation of the logarithm of the scale, from the curvature of the fit, (n, twin).
-        is_lifted: Enough joints were seen, (n,); everything else is NaN where not.
+        is_lifted: Whether enough joints were seen, (n,); other values are NaN if not.
     """
 
     torso_m: Array
@@ -83,8 +84,8 @@ class LiftedTorsos:
 def learn_torso_basis(pair17_m: Array) -> TorsoBasis:
     """Learn the torso basis from poses (*batch, joint=17, 3) of any number of people, metres.
 
-    Each torso is scaled to the mean size (sum of its bone lengths, which does not change as a person moves) and turned
-    onto the mean (Procrustes), so that neither size nor direction is learned.
+    Each torso is scaled to the mean size (sum of its bone lengths, which motion does not change) and turned onto the
+    mean (Procrustes), so that neither size nor direction is learned.
     """
     poses = np.asarray(pair17_m, dtype=np.float64).reshape(-1, PAIR17.num_joints, 3)
     if len(poses) < 10:
@@ -104,7 +105,7 @@ def learn_torso_basis(pair17_m: Array) -> TorsoBasis:
     variance = singular**2 / max(len(flat) - 1, 1)
     total = max(float(variance.sum()), 1e-300)
     components = components[:_NUM_COMPONENTS]
-    # A component's sign is free: its greatest entry is made positive, so that a rerun gives the same basis.
+    # The sign of a component is free: make its largest entry positive, so that a rerun gives the same basis.
     greatest = np.take_along_axis(components, np.argmax(np.abs(components), axis=1)[:, None], axis=1)
     components = components * np.where(greatest < 0, -1.0, 1.0)
     return TorsoBasis(
@@ -127,7 +128,7 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
         weights: Weight of each joint, (n, 6), such as its confidence; 1 when not given.
     """
     given = np.ones(torso_px.shape[:2]) if weights is None else np.asarray(weights, dtype=np.float64)
-    # Torsos do not know of each other; blocks keep the memory small.
+    # Torsos are independent; blocks keep the memory small.
     parts = [
         _lift_block(torso_px[start : start + BLOCK_SIZE], given[start : start + BLOCK_SIZE], basis)
         for start in range(0, max(len(torso_px), 1), BLOCK_SIZE)
@@ -149,7 +150,7 @@ def _lift_block(torso_px: Array, weights: Array, basis: TorsoBasis) -> LiftedTor
     plane = plane - (weight[..., None] * plane).sum(axis=1, keepdims=True) / total
     gram = np.einsum("nj,njc,njd->ncd", weight / total[:, 0], plane[..., :2], plane[..., :2])
     spread = np.linalg.eigvalsh(gram)[:, 0]
-    # Joints of the mean torso that lie on one line (within 2 cm) do not fix the turn about that line.
+    # Joints of the mean torso on one line (within 2 cm) do not determine the turn about that line.
     is_lifted = (num_seen >= MIN_TORSO_JOINTS) & (extent > 0) & (spread > 0.02**2)
     rows = np.flatnonzero(is_lifted)
     lifted = _TorsoFit(image[rows] / extent[rows, None, None], weight[rows], basis)
@@ -203,7 +204,7 @@ class _TorsoFit:
         self.log_scale[:] = np.log(scale)[:, None]
 
     def refine(self) -> None:
-        """Levenberg-Marquardt; each torso keeps its own damping."""
+        """Levenberg-Marquardt with a damping for each torso."""
         damping = np.full(self.log_scale.shape, 1e-2)
         best = self.cost()
         for _ in range(_NUM_ITERATIONS):
@@ -249,7 +250,8 @@ class _TorsoFit:
         """Square root of the scale's entry in the inverse of the normal matrix."""
         _, jacobian = self._linearise()
         normal = np.einsum("ntri,ntrj->ntij", jacobian, jacobian)
-        # A turn that the image does not see (an edge-on torso) must not make the matrix singular: 1 radian at most.
+        # A turn that the image does not show (of a torso seen edge-on) must not make the matrix singular: 1 radian at
+        # most.
         inverse = np.linalg.inv(normal + np.diag([1.0, 1.0, 1.0] + [1e-9] * (normal.shape[-1] - 3)))
         return np.sqrt(inverse[..., 3, 3])
 

@@ -1,4 +1,4 @@
-"""A torso basis from body proportions alone, for whatever has no motion to learn from."""
+"""A torso basis from body proportions alone, where there is no motion to learn from."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _UPRIGHT = {
 }
 _NUM_TORSOS = 2000
 _DEVIATION_DEG = {"flexion": 15.0, "lateral": 8.0, "torsion": 14.0, "shrug": 8.0, "protraction": 12.0}
-"""How much trunks bend and shoulders move in everyday and dance motion, standard deviations."""
+"""Standard deviations of the bends of trunks and the moves of shoulders in everyday and dance motion."""
 
 
 def proportions_torso_basis() -> TorsoBasis:
-    """Return a torso basis of an average body that bends, twists and moves its shoulders; it has seen no take.
+    """Return a torso basis of an average body that bends, twists and moves its shoulders; no take is used.
 
     The torsos are drawn once from a fixed stream, so the basis is always the same.
     """
@@ -42,7 +42,7 @@ def proportions_torso_basis() -> TorsoBasis:
         shrug = angle["shrug"] + np.deg2rad(4.0) * rng.normal(size=_NUM_TORSOS)
         turn = _turn(y=-sign * angle["protraction"], z=sign * shrug)
         pose[:, shoulder] = chest + np.einsum("nij,nj->ni", turn, pose[:, shoulder] - chest)
-    # The trunk bends at the spine joint and half way again at the chest, as one joint for each would not.
+    # Half of each bend is at the spine joint, half at the chest.
     upper = PAIR17.indices(("chest", "neck", "head", "left_shoulder", "right_shoulder"))
     for joint in ("chest", "spine"):
         pivot = pose[:, [PAIR17.index(joint)]].copy()

@@ -13,16 +13,16 @@ VIEW_DEVIATION_RAD = 0.5
 
 
 def draw_views(rng: np.random.Generator, directions: Array, weights: Array, count: int) -> Array:
-    """Draw views (count, 3) from the smoothed density over some: one of them by weight, then round it.
+    """Draw views (count, 3) from the smoothed density over given ones: choose a view by weight, then draw around it.
 
-    Von Mises-Fisher with concentration 1 / deviation^2, near its centre the normal of that deviation, which
-    has no seam and no poles.  The paper takes a normal in (psi, phi).
+    The kernel is von Mises-Fisher with concentration 1 / deviation^2.  Near its centre it is normal with that
+    deviation, and it has neither seam nor poles.  The paper uses a normal in (psi, phi).
 
     Args:
         rng: Source of randomness.
         directions: Views in the local frame, (n, 3).
-        weights: Weight of each view, (n,), such as hypothesis weight x trust; one at least is positive.
-        count: Views drawn.
+        weights: Weight of each view, (n,), such as hypothesis weight x trust; at least one is positive.
+        count: Number of draws.
     """
     centres = normalise(directions[rng.choice(len(directions), size=count, p=weights / weights.sum())])
     kappa = 1.0 / VIEW_DEVIATION_RAD**2

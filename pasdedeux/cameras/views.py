@@ -1,12 +1,12 @@
 """The views of annotated pairs: weighted hypotheses of where the camera stood (Yin et al. 2018, section 4.2).
 
 Lifted torsos give two backbones, each with a twin mirrored in depth, and the scale of each person.  A weak-perspective
-image does not show which root is nearer, so their relative depth follows one of several rules:
+image does not show which root is nearer, so several rules give their relative depth:
 
 - `zero`: both at the same depth;
-- `contact_near`, `contact_far`: as close as bodies in contact are, person B nearer or further; where the image already
-  holds the roots further apart than that, there is no such hypothesis;
-- `size`: a pinhole at a known or assumed distance shows the nearer person larger;
+- `contact_near`, `contact_far`: roots at the distance of bodies in contact, person B nearer or further; no such
+  hypothesis if the roots are further apart in the image;
+- `size`: by the apparent sizes, given a known or assumed distance of the camera;
 - `near`, `far`: person B nearer or further than that (than `zero` when the distance is unknown) by sqrt(3) standard
   deviations of what is known, so that the three together have its mean and variance.
 
@@ -36,30 +36,29 @@ _FLIPS = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
 _SAME_TWIN = [0, 3]
 
 BODY_DEVIATION = 0.06
-"""Standard deviation of the logarithm of the ratio of two adults' statures before anything is seen."""
+"""Prior standard deviation of the logarithm of the ratio of two adults' statures."""
 
 MIN_CALIBRATION_DEVIATION = 0.02
-"""Error of a size ratio that stays however often two people pass round each other."""
+"""Error of a size ratio that remains however often two people pass around each other."""
 _SIZE_DEVIATION = 0.035
-"""Relative error of the ratio of apparent sizes, beyond the fit's and the bodies'."""
+"""Relative error of the ratio of apparent sizes, in addition to those of fit and bodies."""
 _CONTACT_DISTANCE_M = 0.35
 """Distance of the roots of two people in close contact."""
 _MIN_ROOT_DISTANCE_M = 0.2
-"""Roots closer than this share one place."""
+"""Smallest plausible distance of two roots."""
 _MIN_WEIGHT = 1e-3
 """Hypotheses of less weight are dropped."""
 _DEPTH_DEVIATION_M = 0.6
 """Standard deviation of the relative depth of two roots."""
 USUAL_DISTANCE_M = 4.0
-"""Distance of a camera of which nothing is known, metres."""
+"""Distance assumed of an unknown camera, metres."""
 
 
 class ViewOptions(Settings):
     """Assumptions about cameras and people for the estimation of views.
 
-    The ratio of the two bodies' sizes is learned from that of their apparent sizes over all annotations, as far as
-    neither person stays the nearer: many cameras determine it well, one camera badly unless the two pass round each
-    other in front of it.
+    The ratio of the two bodies' sizes is estimated from that of their apparent sizes over all annotations.  Many
+    cameras determine it well; one camera does so only if the two people pass around each other in front of it.
     """
 
     distance_m: float | None = Field(
@@ -88,7 +87,7 @@ class ViewEstimates:
         trust: Trust in each annotation's view, (n,): length of the weighted mean direction, 1 when all hypotheses
             agree; 0 where there is none.
         is_lifted: Which annotations have hypotheses, (n,): enough torso joints of both people were seen.
-        size_ratio: Size of person A over person B that was found and used.
+        size_ratio: Estimated size of person A over person B.
     """
 
     annotation: Integers
@@ -122,11 +121,11 @@ def estimate_views(
         pair17_px: Pairs (n, person=2, joint=17, 2), pixels, x right, y down; NaN where a joint is missing.
         basis: Torso basis learned from other takes.
         confidence: Weights of the joints, (n, person=2, joint=17); all 1 when not given.
-        camera_index: Which camera took each annotation, (n,), any whole numbers; each its own when not given.
-        options: How hypotheses are made and weighed.
+        camera_index: Number of the camera of each annotation, (n,); a different one for each by default.
+        options: Assumptions.
 
-    Person A must be the same person in all of them if sizes are calibrated.  An annotation in which either torso has
-    too few joints gets no hypothesis and trust 0.
+    Person A must be the same person in all annotations.  An annotation in which either torso has too few joints gets no
+    hypothesis and trust 0.
     """
     options = options or ViewOptions()
     px = np.asarray(pair17_px, dtype=np.float64)
@@ -146,7 +145,7 @@ def estimate_views(
     )
     cameras = np.arange(count) if camera_index is None else np.asarray(camera_index)
     log_ratio, size_variance = _size_ratio(twins, cameras[rows], options)
-    # True sizes: half of the ratio to each, so that the mean size stays that of the basis.
+    # Correct each size by half of the ratio, so that the mean size stays that of the basis.
     twins = replace(twins, metres_per_pixel=twins.metres_per_pixel * np.exp(np.array([0.5, -0.5]) * log_ratio))
     made = _hypotheses(twins, size_variance, options)
     each_rule = (len(rows), len(_FLIPS) * len(DEPTH_RULES))
@@ -179,9 +178,9 @@ def estimate_views(
 def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
     """Return annotated pairs (*batch, person=2, joint, 2) in metres, x right, y up, the middle of the roots at (0, 0).
 
-    Each person is scaled about the own pelvis by the own scale (*batch, person=2); the distance of the pelvises is
-    scaled by the mean of the two, as a pinhole does with people at two depths.  Where a pelvis is missing its person is
-    placed by the mean of the joints seen in both instead.
+    Each person is scaled about their pelvis by their own scale (*batch, person=2); the distance between the pelvises is
+    scaled by the mean of the two, as for a pinhole and people at two depths.  If a pelvis is missing, both people are
+    placed by the mean of the joints seen in both.
     """
     px = np.asarray(pair17_px, dtype=np.float64)
     scale = np.asarray(metres_per_pixel, dtype=np.float64)
@@ -199,7 +198,7 @@ def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Twins:
-    """The two people of pairs as lifted, under each choice of twins: arrays (pair, flip, person, ...)."""
+    """The lifted torsos of pairs under each choice of twins: arrays (pair, flip, person, ...)."""
 
     backbones: Array
     metres_per_pixel: Array
@@ -219,15 +218,14 @@ class _Hypotheses:
 def _size_ratio(twins: _Twins, cameras: Integers, options: ViewOptions) -> tuple[float, float]:
     """Return the logarithm of the size of person A over person B, and its variance.
 
-    It is the weighted median over cameras of the apparent one, drawn to 0 by the prior.
-
-    A camera in front of which person B stays on one side of A may have B always nearer, and counts as much as a single
-    frame; the more evenly the two change sides, the more their depths balance.
+    It is the weighted median of the apparent ratio over cameras, drawn to 0 by the prior.  If person B stays on one
+    side of A, B may always be nearer, so the camera has the weight of a single frame; the more evenly the two change
+    sides, the more their depths balance.
     """
     if not len(cameras):
         return 0.0, BODY_DEVIATION**2
     scale, x = twins.metres_per_pixel[:, _SAME_TWIN], twins.root_px[..., 0][:, _SAME_TWIN]
-    # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
+    # A smaller body, fitted with the same mean torso, gets too many metres per pixel.
     apparent = np.log(scale[..., 1] / scale[..., 0]).mean(axis=-1)
     across = (x[..., 1] - x[..., 0]).mean(axis=-1)
     one_frame = _DEPTH_DEVIATION_M / (options.distance_m or USUAL_DISTANCE_M)
@@ -239,11 +237,11 @@ def _size_ratio(twins: _Twins, cameras: Integers, options: ViewOptions) -> tuple
         precision.append(1.0 / ((one_frame * one_sided) ** 2 + MIN_CALIBRATION_DEVIATION**2))
     order = np.argsort(ratio)
     cumulative = np.cumsum(np.array(precision)[order])
-    # The middle of the lower and the upper weighted median, so that swapping the people inverts the ratio exactly.
+    # The mean of the lower and the upper weighted median, so that swapping the people inverts the ratio exactly.
     lower = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 - 1e-9))
     upper = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 + 1e-9))
     median = 0.5 * (ratio[order[lower]] + ratio[order[upper]])
-    # However many cameras there are, the smallest error stays.
+    # The smallest error remains, whatever the number of cameras.
     total = min(float(cumulative[-1]), 1.0 / MIN_CALIBRATION_DEVIATION**2) + 1.0 / BODY_DEVIATION**2
     return median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), 1.0 / total
 
@@ -257,15 +255,15 @@ def _hypotheses(twins: _Twins, size_variance: float, options: ViewOptions) -> _H
     log_weight = np.zeros_like(depth)
     reach = np.sqrt(np.maximum(_CONTACT_DISTANCE_M**2 - gap**2, 0.0))
     depth[..., _CONTACT_NEAR], depth[..., _CONTACT_FAR] = reach, -reach
-    # What is known of the relative depth: normal, mean and variance.
+    # The relative depth is normal with this mean and variance.
     mean, variance = np.zeros(gap.shape), np.full(gap.shape, _DEPTH_DEVIATION_M**2)
     if options.distance_m is not None:
         # Depth is proportional to metres per pixel; the two depths have the camera's distance as their mean.
         apparent = 2.0 * options.distance_m * (scale[..., 0] - scale[..., 1]) / scale.sum(axis=-1)
         fit_variance = (twins.log_scale_deviation**2).sum(axis=-1)
         noise = options.distance_m**2 * (_SIZE_DEVIATION**2 + size_variance + fit_variance)
-        # The mean stays the apparent depth: drawing it towards 0, as a normal prior would, turns every view the same
-        # direction and cost 3 degrees in the median on captured dancers.
+        # The mean stays the apparent depth: a normal prior would draw it towards 0 and turn every view the same way,
+        # which cost 3 degrees in the median on captured dancers.
         mean, variance = apparent, variance * noise / (variance + noise)
     step = np.sqrt(3.0 * variance)
     depth[..., _SIZE], depth[..., _NEAR], depth[..., _FAR] = mean, mean + step, mean - step

@@ -15,15 +15,15 @@ from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 
 PERSON_HEIGHT_PX = 600.0
-"""Height of a person in the image at which noise in pixels is meant."""
+"""Height of a person in the image for which noise in pixels is stated."""
 
 PERSON_HEIGHT_M = 1.7
-"""Height of the person that the focal length is chosen for."""
+"""Height of the person for whom the focal length is chosen."""
 
 
 _JUNK_CONFIDENCE = (0.05, 0.2)
 _MIN_DEPTH_M = 1.0
-"""Nothing that a camera sees is nearer than this."""
+"""Smallest depth of a joint before a camera."""
 _MIN_PITCH_RAD, _MAX_PITCH_RAD = float(np.deg2rad(-15.0)), float(np.deg2rad(60.0))
 _WALK_M_S = 1.3
 """Comfortable walking speed (Bohannon 1997)."""
@@ -33,7 +33,7 @@ _MAX_TURN_RAD, _MAX_AWAY_M = np.pi / 6.0, 0.6
 
 @dataclass(frozen=True)
 class VirtualView:
-    """A virtual camera with the numbers it was made from."""
+    """A virtual camera, and the numbers from which it was made."""
 
     camera: PinholeCamera
     distance_m: float
@@ -58,10 +58,10 @@ def sample_views(
 ) -> tuple[Array, Array]:
     """Draw azimuths about +Y (0 on +Z) and elevations (count,), radians, of views.
 
-    Any azimuth; elevations are normal, folded back at the ends of -15 to 60 degrees.
+    Azimuths are uniform; elevations are normal, folded back at the ends of -15 to 60 degrees.
 
-    The default is about eye level or slightly above, as people film people.  A deviation of infinity draws directions
-    uniform on the band of the sphere between the two ends.
+    By default they are about eye level or slightly above, as people film people.  An infinite deviation draws
+    directions uniformly on the band of the sphere between the two ends.
     """
     yaw = rng.uniform(-np.pi, np.pi, size=count)
     if np.isinf(pitch_deviation_rad):
@@ -83,7 +83,7 @@ def look_at_camera(
     """Return the upright camera that looks at `target_m` (3,) from a distance; the target is at the image's centre.
 
     At yaw 0 and pitch 0 the camera stands on +Z of the target and looks along -Z; yaw turns it towards +X, a positive
-    pitch lifts it.  Straight above (pitch 90 degrees) the image's up is where the camera came from, so nothing jumps.
+    pitch lifts it.  The image's up is continuous up to straight above (pitch 90 degrees).
     """
     direction = _towards(yaw_rad, pitch_rad)
     right = np.array([np.cos(yaw_rad), 0.0, -np.sin(yaw_rad)])
@@ -147,7 +147,7 @@ def annotate(rng: np.random.Generator, px: Array, *, noise_px: float = 0.0, occl
         occlusion: Share of the joints that are hidden, each on its own, from 0 to 1.
     """
     exact = np.asarray(px, dtype=np.float64)
-    # Both draws are always made, so that the noise of a joint does not depend on the occlusion asked for.
+    # Always make both draws, so that the noise of a joint does not depend on the occlusion.
     noise = rng.standard_normal(exact.shape) * noise_px
     is_hidden = rng.random(exact.shape[:-1]) < occlusion
     seen = np.where(is_hidden[..., None], np.nan, exact + noise)
@@ -156,9 +156,9 @@ def annotate(rng: np.random.Generator, px: Array, *, noise_px: float = 0.0, occl
 
 
 def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_px: tuple[int, int]) -> Annotated:
-    """Put `count` joints of each person in every frame anywhere in the image, with a confidence below 0.2.
+    """Move `count` joints of each person in every frame anywhere in the image, with a confidence below 0.2.
 
-    Detectors do so with joints that they do not find.  A person who is not seen at all gets none.
+    Detectors do so with joints that they do not find.  People who are not seen at all stay so.
     """
     chosen = np.argsort(rng.random(seen.confidence.shape), axis=-1) < count
     chosen &= (seen.confidence > 0).any(axis=-1, keepdims=True)
@@ -172,13 +172,13 @@ def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_p
 def passer_by(
     rng: np.random.Generator, person: Array, centre: Array, *, towards_camera: Array, rate_hz: float
 ) -> Array:
-    """Return a person who walks through a take across the image: `person` later and earlier, at a walk's speed.
+    """Return a person who walks through a take across the image, with the motion of `person` reversed in time.
 
     Args:
-        rng: Draws the direction and how far from the middle of the pair the path leads.
-        person: Joints (frame, joint, 3) that are moved so that the mean of the joints keeps to the path; time is
-            reversed, so that the two do not move alike.
-        centre: Middle (3,) of the people walked through.
+        rng: Draws the direction, and the distance of the path from the middle of the pair.
+        person: Joints (frame, joint, 3), moved so that their mean follows the path; time is reversed so that the two
+            do not move alike.
+        centre: Middle (3,) of the pair.
         towards_camera: Direction (3,) from there to the camera.
         rate_hz: Frames per second.
     """

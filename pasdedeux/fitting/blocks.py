@@ -1,4 +1,4 @@
-"""Cholesky of a symmetric matrix of frame blocks in which frames couple to the next two."""
+"""Cholesky solver for symmetric matrices of frame blocks, in which each frame couples to the next two."""
 
 from __future__ import annotations
 

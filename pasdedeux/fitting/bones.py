@@ -1,4 +1,4 @@
-"""Bones as unknowns: a pose is a root and the unit direction of every bone, so lengths are exact by construction."""
+"""Bones as unknowns: a pose is a root and the unit direction of every bone, so lengths stay exact."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class BoneState:
 
 @dataclass(frozen=True)
 class Topology:
-    """What a fit needs to know of a forest of N points whatever its lengths; do not write to it.
+    """The structure of a forest of N points, without lengths; do not write to it.
 
     Args:
         parents: Parent of each point (N,), -1 for roots.
         order: Points from the roots outwards (N,).
         roots: Points that are roots, one a person (P,).
         starts: Where each point's unknowns start in a frame's step (N + 1,); the last entry is n.
-        carries: C (N, N): 1 where the bone (or root) of the row moves the point of the column.
-        related: Pairs of points of which one carries the other (m, 2), themselves included.
-        further: The one of each pair that is carried (m,).
+        carries: C (N, N): 1 if the bone (or root) of the row moves the point of the column.
+        related: Pairs of points of which one carries the other (m, 2), including each point with itself.
+        further: The carried point of each pair (m,).
         unknown_points: Point of each unknown of a frame (n,).
-        unknown_columns: Which of its point's unknowns each one is (n,), 0 to 2.
+        unknown_columns: Number of each unknown among those of its point (n,), 0 to 2.
     """
 
     parents: Integers
@@ -51,7 +51,7 @@ class Topology:
 
 @lru_cache(maxsize=64)
 def topology_of(skeletons: tuple[Skeleton, ...]) -> Topology:
-    """Return the topology of skeletons whose points follow each other; kept, for there are few."""
+    """Return the topology of skeletons whose points follow each other; cached."""
     first = np.cumsum([0, *(skeleton.num_joints for skeleton in skeletons)])
     bodies = list(zip(first, skeletons, strict=False))
     parents = np.array([at + up if up >= 0 else -1 for at, one in bodies for up in one.parents], dtype=np.int64)
@@ -93,7 +93,7 @@ class BoneForest:
 
     @property
     def topology(self) -> Topology:
-        """How the points hang together."""
+        """Structure of the points."""
         return topology_of(self.skeletons)
 
     def state_of(self, positions_m: Array) -> BoneState:
@@ -107,7 +107,7 @@ class BoneForest:
         return place_bones(state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots)
 
     def retract(self, state: BoneState, tangents: Array, step: Array) -> BoneState:
-        """Move by a step (frame, n): roots are translated, directions leave along their tangents, made unit again."""
+        """Apply a step (frame, n): translate roots, move directions along their tangents, and normalise them."""
         shape = self.topology
         first = shape.starts[shape.roots]
         roots = state.roots_m + step[:, first[:, None] + np.arange(3)]
@@ -116,7 +116,7 @@ class BoneForest:
 
 @compiled()
 def directions_of(positions: Array, parents: Integers) -> Array:
-    """Return the unit vector of each bone; up for roots and where there is none."""
+    """Return the unit vector of each bone; up for roots and bones of length zero."""
     directions = np.empty(positions.shape)
     for t in range(positions.shape[0]):
         for point in range(positions.shape[1]):
@@ -137,7 +137,7 @@ def directions_of(positions: Array, parents: Integers) -> Array:
 def place_bones(
     roots_m: Array, directions: Array, lengths: Array, parents: Integers, order: Integers, roots: Integers
 ) -> Array:
-    """Return positions: each point a bone's length from its parent."""
+    """Return positions; each point is a bone's length from its parent."""
     positions = np.empty(directions.shape)
     for t in range(directions.shape[0]):
         for person in range(roots.shape[0]):
@@ -153,7 +153,7 @@ def place_bones(
 
 @compiled()
 def tangents_of(directions: Array) -> Array:
-    """Return two unit vectors across each direction, the first across x as well, or y where that is too near."""
+    """Return two unit vectors square to each direction; the first is also square to x, or to y if x is too near."""
     tangents = np.empty((*directions.shape, 2))
     for t in range(directions.shape[0]):
         for point in range(directions.shape[1]):
@@ -169,7 +169,7 @@ def tangents_of(directions: Array) -> Array:
 
 @compiled()
 def turn_bones(directions: Array, tangents: Array, step: Array, parents: Integers, starts: Integers) -> Array:
-    """Return the directions of bones after a step along their tangents; roots' as they were."""
+    """Return the directions of bones after a step along their tangents; those of roots stay."""
     turned = directions.copy()
     for t in range(directions.shape[0]):
         for point in range(directions.shape[1]):

@@ -1,4 +1,4 @@
-"""A joint of a pair is pulled somewhere: the pair follows as little as it can, its bones as long as they were."""
+"""Pull a joint of a person to a place: the body follows as little as possible and keeps its bone lengths."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import Skeleton
 
 _PULL = 1e3
-"""Weight of the place that a joint is pulled to, where each other joint holds its own with 1."""
+"""Weight of the target of the pulled joint; each other joint is held in place with weight 1."""
 
 
 def pull_joint(skeleton: Skeleton, people_m: Array, person: int, joint: int, target_m: Array) -> Array:
-    """Return people (person, joint, 3) of whom one has a joint as near to a place (3,) as bones of fixed length allow.
+    """Pull a joint of one person as near to a place (3,) as bones of fixed length allow; return all (person, joint, 3).
 
-    Everybody else stays where they are.  A joint that is pulled out of reach takes the body along.
+    The other people stay.  A joint that is pulled out of reach takes the body along.
 
     Args:
-        skeleton: Of everybody.
-        people_m: Before, metres, finite.
-        person: Who is pulled.
-        joint: By which joint.
-        target_m: Where to, metres.
+        skeleton: Skeleton of everybody.
+        people_m: Positions before, metres, finite.
+        person: Number of the person.
+        joint: The pulled joint.
+        target_m: Its target, metres.
     """
     person_m = np.asarray(people_m[person], dtype=np.float64)[None]
     forest = BoneForest((skeleton,), bone_lengths(skeleton, person_m[0]))

@@ -26,7 +26,7 @@ SMALLEST_CURVATURE = 1e-9
 FIRST_DAMPING, SMALLEST_DAMPING = 1e-4, 1e-12
 """As shares of the diagonal."""
 LARGEST_DAMPING = 1e8
-"""Beyond this a fit gives up, with what it has."""
+"""A fit ends when the damping exceeds this."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class FitSettings:
     """When to stop.
 
     Args:
-        max_iterations: Most accepted or refused steps.
-        tolerance: Stops when a step lowers the energy by less than this share.
+        max_iterations: Largest number of accepted or refused steps.
+        tolerance: Stop when a step lowers the energy by less than this share.
     """
 
     max_iterations: int = 30
@@ -44,7 +44,7 @@ class FitSettings:
 
 @dataclass(frozen=True)
 class FitResult:
-    """The fitted motion and how the energy went.
+    """The fitted motion and its energies.
 
     Args:
         positions_m: (T, N, 3), metres.
@@ -67,7 +67,7 @@ def fit_bones(
     Args:
         forest: Skeletons and their lengths.
         start: First guess.
-        terms: Terms; together they should hold every unknown (a weak `PointTerm` does).
+        terms: Terms; together they should determine every unknown (a weak `PointTerm` does).
         settings: When to stop.
     """
     settings = settings or FitSettings()
@@ -124,10 +124,10 @@ def _damped(diagonal: Array, damping: float) -> Array:
 
 
 def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
-    """Sum curvature over what bones carry: C K C' within frames (3, T, N, N), and C l between them (3, T - lag, N).
+    """Sum curvature over the points that bones carry: C K C' within frames (3, T, N, N), C l between (3, T - lag, N).
 
-    Between frames K is a diagonal l, and C l C' has an entry only where one bone carries the other: the sum of l over
-    what the further one carries.
+    Between frames, K is a diagonal l, and C l C' has an entry only if one bone carries the other: the sum of l over the
+    points that the further bone carries.
     """
     carries = forest.topology.carries
     within = carries @ normal.matrix @ carries.T
@@ -191,7 +191,7 @@ def _add_stencils(
     starts: Integers,
     diagonal: Array,
 ) -> None:
-    """Add sum w r' r: r is how far each unknown moves a combination of points along its unit vector; most do not."""
+    """Add sum w r' r; r has the derivatives of a combination of points along its unit vector, mostly zero."""
     frames, count, size = points.shape
     num_bones = len(carries)
     row, used = np.empty(starts[-1]), np.empty(starts[-1], np.int64)

@@ -1,10 +1,10 @@
-"""A pose fitted to observed 2D over a whole track: exact bone lengths, depth near the retrieved one, smooth.
+"""Fit poses to the 2D joints of a whole track: exact bone lengths, depths near the retrieved ones, smooth.
 
-Camera axes, metres about the mid-hip: x right, y up, z towards the camera.  The terms, each over its own standard
-deviation, so that weights follow what was measured:
+Camera axes, metres about the mid-hip: x right, y up, z towards the camera.  Each term is divided by its measured
+standard deviation:
 
-- the image: seen joints against the observation, over the noise of the track, less for joints that stay off (robust);
-- the bones: each bone's vector against the retrieved one, which decides where the image is silent or poor;
+- image: distance of seen joints from the observation, over the noise of the track, with less weight for outliers;
+- bones: difference of each bone's vector from the retrieved one, which decides where the image does not;
 - time: second differences of all joints.
 """
 
@@ -22,13 +22,13 @@ from pasdedeux.skeletons import Skeleton
 
 DEPTH_HOLD = 1e-2
 _FEWEST_DIFFERENCES = 5
-"""Fewer third differences than this do not determine the noise."""
+"""Smallest number of third differences that determine the noise."""
 ACCELERATION_M_S2 = 8.0
 """Standard deviation of a joint's acceleration."""
 HALF_WEIGHT = 3.0
 """Joints count half at this many standard deviations of the noise from their image."""
 _NUM_ROUNDS = 2
-"""Fits; between them the image's weights follow the residuals."""
+"""Number of fits; between them the weights of the image follow the residuals."""
 _STOP = FitSettings(max_iterations=6, tolerance=3e-3)
 
 
@@ -47,14 +47,14 @@ class BoneVectorTerm(Term):
     weights: Array
 
     def __post_init__(self) -> None:
-        """Free the root, and what has no weight."""
+        """Clear weights of the root, and targets without weight."""
         weights = np.array(np.broadcast_to(self.weights, self.targets_m.shape), dtype=np.float64)
         weights[:, self.skeleton.root] = 0.0
         object.__setattr__(self, "weights", weights)
         object.__setattr__(self, "targets_m", np.where(weights > 0, self.targets_m, 0.0))
 
     def _residual(self, positions_m: Array) -> Array:
-        # The root's own row reads another joint and has weight 0.
+        # The row of the root reads another joint, with weight 0.
         return np.asarray(positions_m - positions_m[:, topology_of((self.skeleton,)).parents] - self.targets_m)
 
     def energy(self, positions_m: Array) -> float:
@@ -76,7 +76,7 @@ class BoneVectorTerm(Term):
 
     @property
     def _children(self) -> Array:
-        """Return 1 where the joint of the row is the parent of that of the column (N, N)."""
+        """1 where the joint of the row is the parent of that of the column (N, N)."""
         parents = topology_of((self.skeleton,)).parents
         return (parents == np.arange(len(parents))[:, None]).astype(np.float64)
 
@@ -123,12 +123,12 @@ def fit_observed(
         lengths_m: Bone lengths (N,), metres, kept exactly.
         start_m: First guess (T, N, 3), camera axes, metres.
         observed_m: Observed joints (T, N, 2), metres at the depth of z = 0; NaN where not seen.
-        confidence: (T, N), 0 where not seen; a joint of confidence c counts as c of one that is seen clearly.
+        confidence: (T, N), 0 where not seen; a weight relative to a clearly seen joint.
         bone_m: Vector of each bone as retrieved (T, N, 3), metres.
         bone_deviation_m: Standard deviation of that (T, N), metres.
         rate_hz: Frames per second.
         distance_m: Distance (T,) of z = 0 from a pinhole.
-        min_noise_m: The image is never believed better than this.
+        min_noise_m: Smallest noise assumed of the image.
     """
     frames, joints = start_m.shape[:2]
     is_seen = np.isfinite(observed_m).all(axis=-1) & (confidence > 0)
@@ -154,7 +154,7 @@ def fit_observed(
 
 
 def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | float) -> Array:
-    """Undo perspective in images (*batch, N, 2) at the depths of poses (*batch, N, 3): what is nearer looks larger.
+    """Remove perspective from images (*batch, N, 2) at the depths of poses (*batch, N, 3).
 
     Args:
         observed_m: Observed joints, metres at the depth of z = 0.
@@ -166,9 +166,9 @@ def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | flo
 
 
 def image_term(observed_m: Array, weights: Array, positions_m: Array, distance_m: Array) -> PointTerm:
-    """Return the term that draws joints to their image (T, N, 2), weights (T, N), without perspective at these poses.
+    """Return the term that draws joints to their image (T, N, 2), with weights (T, N), perspective removed.
 
-    Depth of the whole body is free for parallel rays: a light hand keeps it where it is.
+    Parallel rays leave the depth of the whole body free; a small weight holds it.
     """
     flat = flatten_image(observed_m, positions_m, distance_m)
     over = np.full(positions_m.shape, DEPTH_HOLD)

@@ -1,8 +1,8 @@
 """Terms of a fit: squares of the positions of all points over time, with their gradient and curvature.
 
-A term gives E, half its gradient g (frame, point, 3) and half its Gauss-Newton curvature.  Curvature is kept in the
-structure that makes it cheap: a matrix over points within a frame for the horizontal and the vertical axes, diagonals
-between frames one and two apart, and rank-one parts between pairs of points.
+A term gives E, half its gradient g (frame, point, 3) and half its Gauss-Newton curvature.  Curvature has a structure
+that makes it cheap: for each axis a matrix over points within a frame, diagonals between frames one and two apart, and
+rank-one parts of several points.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Normal:
 
     @classmethod
     def zeros(cls, num_frames: int, num_points: int) -> Normal:
-        """Start from nothing."""
+        """Return gradient and curvature of zero."""
         return cls(
             gradient=np.zeros((num_frames, num_points, AXES)),
             matrix=np.zeros((AXES, num_frames, num_points, num_points)),
@@ -62,7 +62,7 @@ class Term(ABC):
     """One sum of weighted squares."""
 
     is_quadratic = True
-    """The curvature does not depend on the positions, so it is added up once."""
+    """Whether the curvature is independent of the positions, so that it is added up once."""
 
     @abstractmethod
     def energy(self, positions_m: Array) -> float:
@@ -79,18 +79,18 @@ class Term(ABC):
 
 @dataclass(frozen=True)
 class PointTerm(Term):
-    """sum w |p - target|^2 per axis: points seen, anchored or held; a target that is NaN counts as not seen.
+    """sum w |p - target|^2 per axis: points drawn to targets; a target that is NaN has no weight.
 
     Args:
         targets_m: (T, N, 3), metres.
-        weights: (T, N, 3) or what broadcasts to it; 0 leaves an axis free, as depth is for a camera.
+        weights: (T, N, 3) or broadcasts to it; 0 leaves an axis free.
     """
 
     targets_m: Array
     weights: Array
 
     def __post_init__(self) -> None:
-        """Give unseen targets no weight."""
+        """Clear weights of targets that are NaN."""
         is_seen = np.isfinite(self.targets_m)
         object.__setattr__(self, "weights", np.where(is_seen, self.weights, 0.0))
         object.__setattr__(self, "targets_m", np.where(is_seen, self.targets_m, 0.0))
@@ -113,7 +113,7 @@ class AccelerationTerm(Term):
     """sum w |p_t - 2 p_t+1 + p_t+2|^2: smoothness over time.
 
     Args:
-        weights: What broadcasts to (T - 2, N, 3).
+        weights: Broadcasts to (T - 2, N, 3).
     """
 
     weights: Array
@@ -143,15 +143,15 @@ _SECOND_DIFFERENCE = (1.0, -2.0, 1.0)
 
 @dataclass(frozen=True)
 class QuadraticTerm(Term):
-    """x' K x - 2 b' x + c with x = p - origin: any sum of squares that is already added up.
+    """x' K x - 2 b' x + c with x = p - origin: a sum of squares that is already added up.
 
     Args:
         origin_m: (T, N, 3), metres.
-        matrix: (axis=3, T, N, N), with the temporal terms' diagonals.
+        matrix: (axis=3, T, N, N), including the diagonals of temporal terms.
         lag1: (axis=3, T-1, N).
         lag2: (axis=3, T-2, N).
         linear: b (T, N, 3).
-        constant: c, which makes E the sum of squares.
+        constant: c.
     """
 
     origin_m: Array
@@ -190,12 +190,12 @@ class QuadraticTerm(Term):
 
 @dataclass(frozen=True)
 class DistanceTerm(Term):
-    """sum w (|p_i - p_j| - length)^2: pairs of points that stay as far apart as they should.
+    """sum w (|p_i - p_j| - length)^2: distances between pairs of points.
 
     Args:
         pairs: Points (m, 2).
         lengths_m: (T, m), metres.
-        weights: (T, m) or what broadcasts to it.
+        weights: (T, m) or broadcasts to it.
     """
 
     pairs: Integers
@@ -227,7 +227,7 @@ class DistanceTerm(Term):
             normal.gradient += sign * np.einsum("mi,tma->tia", incidence, pull)
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
-        """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
+        """Add half the Gauss-Newton curvature, without the second derivative of the distance."""
         unit, _ = self._vectors(positions_m)
         points = np.broadcast_to(self.pairs, (len(unit), *self.pairs.shape))
         normal.stencils.append((points, np.broadcast_to(np.array([-1.0, 1.0]), points.shape), self.weights, unit))
@@ -243,7 +243,7 @@ class HalfSpaceTerm(Term):
         shares: What each contributes (T, m, k).
         normals: Unit vectors n (T, m, 3).
         limits_m: (T, m).
-        weights: (T, m); 0 for places that are not used.
+        weights: (T, m); 0 for unused places.
     """
 
     origin_m: Array
@@ -272,7 +272,7 @@ class HalfSpaceTerm(Term):
         np.add.at(normal.gradient, (frames, self.points), self.shares[..., None] * pull[:, :, None])
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
-        """Add half the curvature: that of the combinations on the wrong side."""
+        """Add half the curvature of the combinations on the wrong side."""
         is_short = (self._shortfall(positions_m) > 0) & (self.weights > 0)
         most = int(is_short.sum(axis=1).max(initial=0))
         if most == 0:

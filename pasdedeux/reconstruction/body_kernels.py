@@ -1,4 +1,4 @@
-"""Kernels of `body`: a whole body hung on op14 joints, its spine closed by Newton steps, its limbs reached."""
+"""Kernels of `body`: place a whole body on op14 joints, close its spine by Newton steps, and reach with its limbs."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ _LEAST_WIDTH_M = 1e-3
 _MAX_ROUNDS = 30
 _CLOSED_M = 1e-10
 _MAX_STEP = 0.5
-"""Radians, all joints together, of one step; further the tangent says nothing."""
+"""Largest turn of all joints together in one step, radians; the tangent holds no further."""
 _DAMPING = 1e-9
 _GIVES = np.array([0.7, 1.0, 1.0, 1.0, 1.0, 1.0])
-"""How much pelvis tilt, three spine joints and two collars give, against each other, when the chain is closed."""
+"""Relative compliance of pelvis tilt, three spine joints and two collars when the chain is closed."""
 
 
 @compiled()
 def held_hips(positions: Array, lengths: Array, width: float) -> Array:
-    """Return op14 positions (frame, 14, 3) of bones (14,) whose hips are `width` apart under the neck; the ankles stay.
+    """Return op14 positions (frame, 14, 3) with bones of these lengths (14,) and hips `width` apart; the ankles stay.
 
-    The two bones from the neck to the hips of op14 turn on their own, so that hips come apart and close in.
+    In op14, the two bones from the neck to the hips turn independently, so the distance between the hips varies.
     """
     held = positions.copy()
     left, right = lengths[_HIPS_AT[0]], lengths[_HIPS_AT[1]]
@@ -122,7 +122,7 @@ def pose_bodies(
 
 @inner_kernel()
 def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None:
-    """Turn the pelvis so that the line of its hips is that of the pose, and put it there."""
+    """Turn the pelvis until the line of its hips is that of the pose, and place it there."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
     turn = unitquat_of(world, _PELVIS)
     across = rotate(turn, subtract(row_of(rest, _LEGS[0, 0]), row_of(rest, _LEGS[1, 0])))
@@ -132,14 +132,14 @@ def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None
 
 @inner_kernel()
 def _place_pelvis(middle: Vector, world: Array, points: Array, rest: Array) -> None:
-    """Put the pelvis where its hips have this middle."""
+    """Place the pelvis so that its hips have this middle."""
     up = rotate(unitquat_of(world, _PELVIS), row_of(rest, _PELVIS))
     put_row(points, _PELVIS, mix(1.0, middle, 1.0, up))
 
 
 @inner_kernel()
 def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) -> None:
-    """Turn and place the trunk from a joint on as the match has it: spine, and collars with the shoulders."""
+    """Turn the trunk as in the match, if `first` is the lowest spine joint, and place spine, collars and shoulders."""
     if first == _SPINE1:
         for joint in (_SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1]):
             put_unitquat(world, joint, multiply(unitquat_of(world, _PARENTS[joint]), unitquat_of(bent, joint)))
@@ -156,7 +156,7 @@ def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
 
 @inner_kernel()
 def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets: Array, rest: Array) -> None:
-    """Turn pelvis, spine and collars until the shoulders are where they are: Newton steps of least weighted turning."""
+    """Turn pelvis, spine and collars until they reach the shoulders: Newton steps of least weighted turning."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
     middle, hinge = mix(0.5, left, 0.5, right), normalise(subtract(left, right))
     turning = (_PELVIS, _SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1])
@@ -200,7 +200,7 @@ def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets:
                 turn = scale(give * turns[0], hinge)
             else:
                 turn = (give * turns[3 * number], give * turns[3 * number + 1], give * turns[3 * number + 2])
-            # What a joint turns by carries all that hangs on it.
+            # A turn of a joint also turns all joints after it.
             for carried in range(number, 6 if number < 4 else number + 1):
                 turned = multiply(unitquat_from_rotvec(turn), unitquat_of(world, turning[carried]))
                 put_unitquat(world, turning[carried], _unit(turned))
@@ -212,7 +212,7 @@ def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets:
 def _face(
     pose: Array, bent: Array, trunk: Quaternion, nose: Vector, world: Array, points: Array, offsets: Array
 ) -> None:
-    """Hold the head to the trunk as the match does, turned by what the nose is away from where the match has it."""
+    """Hold the head to the trunk as in the match, turned by the swing of the nose from its place in the match."""
     turn = swing_between(rotate(trunk, nose), subtract(row_of(pose, _NOSE), row_of(pose, _NECK)))
     held = multiply(turn, trunk)
     for joint in (_PELVIS, _SPINE1, _SPINE2, _SPINE3, _NECK22, _HEAD22):
@@ -226,7 +226,7 @@ def _face(
 def _reach(
     pose: Array, wanted: Integers, bent: Array, limb: Integers, world: Array, points: Array, offsets: Array, above: int
 ) -> None:
-    """Turn a limb (its joint, hinge and end) that hangs on `above` until it is where the pose has it."""
+    """Turn a limb (joint, hinge and end), attached to `above`, until it follows the pose."""
     start, hinge, end = limb[0], limb[1], limb[2]
     _place(start, world, points, offsets)
     first, second = row_of(pose, wanted[1]), row_of(pose, wanted[2])

@@ -1,7 +1,7 @@
-"""Real film beside a captured take of it: whose keypoints are whose, both clocks, and the true camera.
+"""Align real film with a captured take of it: people, clocks, and the true camera.
 
-Nothing of the reconstruction enters: keypoints and the take's joints alone are brought together, so that errors
-afterwards are those of the reconstruction, its camera and places included.
+The alignment uses only keypoints and the joints of the take, so errors measured with it are those of the
+reconstruction, including its camera and places.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.tracks import Lens, Track
 
 MAX_RESIDUAL = 0.05
-"""Median distance of keypoints from the take's joints, as part of people's height in the image, above which film
-and take are no pair: 2.2 to 2.7 % with noise of 1.8 % on the own motion of five takes, 5.2 to 9.4 % on others'."""
+"""Largest median distance of keypoints from the take's joints, as a part of people's height in the image: 2.2 to 2.7 %
+for five takes and their own motion with noise of 1.8 %, 5.2 to 9.4 % for other motions."""
 
 _RATES = (1.0, 0.5, 2.0, 5 / 6, 6 / 5)
-"""Seconds of the take in a second of film that are tried: headers lie by two, and 25 Hz is taken for 30."""
+"""Seconds of the take per second of film to try: some headers are wrong by 2, and some state 30 Hz for 25."""
 _STEP_S = 0.1
 _NUM_TRIED_FRAMES, _NUM_FITTED_FRAMES = 40, 200
 _MAX_TRACKS = 4
-"""Longest tracks among whom the people of the take are looked for."""
+"""Number of longest tracks among which the people of the take are searched."""
 _NUM_REFINED = 3
 _MIN_POINTS = 30
 _LENS_DEVIATION, _RATE_DEVIATION = 0.35, 0.02
-"""Of the logarithms of an unknown focal length, and of a rate beside the one tried."""
+"""Standard deviations of the logarithms of an unknown focal length, and of the rate over the one tried."""
 _NOISE = 0.01
-"""Keypoints err by so much of a person's height; more counts less."""
+"""Error of keypoints, as a part of a person's height; larger errors have less weight."""
 _OURS_FROM_CV = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class FilmAlignment:
-    """What brings film and take together.
+    """The alignment of film and take.
 
     Args:
         camera: The camera of the film, in the axes of the take.
-        person_ids: Person of the film who each person of the take is.
+        person_ids: Person of the film for each person of the take.
         offset_s: Time of the take at time 0 of the film.
-        rate: Seconds of the take in a second of film.
-        residual: Median distance of keypoints from the joints of the take, as part of people's height.
+        rate: Seconds of the take per second of film.
+        residual: Median distance of keypoints from the joints of the take, as a part of people's height.
     """
 
     camera: PinholeCamera
@@ -57,7 +57,7 @@ class FilmAlignment:
     residual: float
 
     def in_words(self) -> str:
-        """Say it."""
+        """Return the alignment in words."""
         people = ", ".join(f"person {name} is {person_name(at)}" for at, name in enumerate(self.person_ids))
         return (
             f"Film and take: {people}; the film's time 0 is {self.offset_s:.3f} s of the take, and a second "
@@ -66,18 +66,18 @@ class FilmAlignment:
         )
 
     def truth_at(self, truth_m: Array, truth_hz: float, times_s: Array) -> Array:
-        """Return the take (frame, ...) at times (n,) of the film; NaN where it does not reach."""
+        """Return the take (frame, ...) at times (n,) of the film; NaN outside the take."""
         return _at(truth_m, (self.offset_s + self.rate * times_s) * truth_hz)
 
 
 def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> FilmAlignment:
     """Find the people, clocks and camera that project the joints of the take onto the keypoints.
 
-    Clocks and people are tried on some frames, with the camera by resection (SQPnP, Terzakis and Lourakis 2020) for
-    each; the best are refined together with camera, focal length (unless known), offset and rate.
+    Clocks and people are tried on some frames; resection gives the camera of each try (SQPnP, Terzakis and Lourakis
+    2020).  The best tries are refined together with camera, focal length (unless known), offset and rate.
 
     Args:
-        tracks: People of the film, who may be more than those of the take.
+        tracks: People of the film, possibly more than those of the take.
         truth_m: The take in op14 joints (frame, person, 14, 3), metres, y up.
         truth_hz: Its frames per second.
 
@@ -137,7 +137,7 @@ class _FilmPoints:
             seen = np.where(track.confidence[..., None] > 0, track.keypoints_px, np.nan)
             points[there, number] = seen[at[there]]
         is_seen = np.isfinite(points).all(axis=-1)
-        # Who is never seen whole is as tall as what is seen, at most in one of ten frames.
+        # If nobody is ever seen whole, take the tallest visible part, exceeded in one of ten frames.
         of_anybody, of_whole = np.any(is_seen, axis=2), np.all(is_seen, axis=2)
         shown = points[of_whole if of_whole.any() else of_anybody][..., 1]
         heights = np.nanmax(shown, axis=1) - np.nanmin(shown, axis=1)
@@ -161,7 +161,7 @@ class _FilmPoints:
         return np.concatenate([turn.ravel(), shift.ravel()]) if is_found else None
 
     def _distance(self, camera: Array, log_lens: float, points: Array, joints: Array) -> Array:
-        """Return the distance in the image (n, 2) of points from joints, as part of people's height."""
+        """Return the offset in the image (n, 2) of joints from points, as a part of people's height."""
         from scipy.spatial.transform import Rotation  # here, as everywhere: planning does not need it
 
         seen = joints @ Rotation.from_rotvec(camera[:3]).as_matrix().T + camera[3:]
@@ -169,7 +169,7 @@ class _FilmPoints:
         return np.asarray((flat + np.array(self.lens.principal_point_px) - points) / self.height_px)
 
     def residual(self, people: Sequence[int], truth: Array) -> float:
-        """Return the median distance under the best camera."""
+        """Return the median distance under the camera by resection."""
         points, joints, _ = self._known(people, truth)
         camera = self._resect(points, joints)
         if camera is None:
@@ -179,7 +179,7 @@ class _FilmPoints:
     def refined(
         self, truth_m: Array, truth_hz: float, people: Sequence[int], offset_s: float, rate: float
     ) -> FilmAlignment:
-        """Return the alignment near one that was tried."""
+        """Return the alignment refined from a try."""
         from scipy.optimize import least_squares
         from scipy.spatial.transform import Rotation
 

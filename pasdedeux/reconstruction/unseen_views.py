@@ -1,9 +1,9 @@
-"""A motion the database does not hold, seen from several directions and reconstructed by every method.
+"""A motion that the database lacks, seen from several directions and reconstructed by every method.
 
-Yiannakides et al. (2019, section 6) compare a reconstruction with the held-out motion it was projected from, and two
-reconstructions of one motion from views 75 and 135 degrees apart: on the database's own body by parallel rays, as it
-seems the paper did, so that search, selection over time and fit are measured alone.  Unknown proportions, scale and
-lens are part of topic `reconstruction`.
+Yiannakides et al. (2019, section 6) compare a reconstruction with the held-out motion from which it was projected, and
+two reconstructions of one motion from views 75 and 135 degrees apart.  We use the body of the database and parallel
+rays, as the paper seems to do, to measure search, selection over time and fit alone.  Topic `reconstruction` covers
+unknown proportions, scale and lens.
 """
 
 from __future__ import annotations
@@ -26,34 +26,33 @@ from pasdedeux.skeletons import OP14
 
 BEST = "best_of_50"
 STILL = "standing_still"
-"""The mean true pose of the motion in every frame: how much the person moves."""
+"""The mean true pose of the motion in every frame: its error shows how much the person moves."""
 LIVE = "live"
-"""Frame by frame, each pose a few frames after its image."""
+"""Live reconstruction: each pose a few frames after its image."""
 CLEAN = "_clean"
-"""Appended to the name of a method whose motion was cleaned up."""
+"""Suffix of methods after the clean-up."""
 
 _PIXELS_PER_METRE = 1000.0
 _FAR_PX = 1e9
-"""Focal length of a lens whose rays are parallel to one part in a million."""
+"""Focal length that makes rays parallel to one part in a million."""
 
 _KNOWN_BODY = ReconstructionOptions(
     has_own_proportions=False, metres_per_pixel=1.0 / _PIXELS_PER_METRE, min_noise_m=0.001, trust_per_misfit=4.0
 )
-"""Proportions, scale and lens are right, so the image is believed to 1 mm, and retrieved bones half as tightly.
+"""Settings for exact proportions, scale and lens: the image is trusted to 1 mm, and retrieved bones half as tightly.
 
-Chosen by leave-one-out on clips of a database; where scale or proportions are estimated, the second makes the
-fit worse.
+Chosen by leave-one-out on clips of a database; if scale or proportions are estimated, the second makes the fit worse.
 """
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What is done to the image.
+    """A condition of the image.
 
     Args:
-        name: For the tables.
+        name: Name for the tables.
         noise: Standard deviation of each coordinate's noise, as a part of the length of the torso.
-        missing: Share of the joints hidden, each on its own.
+        missing: Share of joints that are hidden, independently.
     """
 
     name: str
@@ -70,13 +69,13 @@ CONDITIONS = (
 
 @dataclass(frozen=True)
 class UnseenMotion:
-    """A motion that a database has not seen.
+    """A motion that a database lacks.
 
     Args:
-        item: Name, for the tables.
+        item: Name for the tables.
         world_m: The motion (frame, 14, 3), upright axes, floor at 0, its own proportions and root path, metres.
-        rate_hz: Its rate.
-        yaws_deg: Directions it is seen from; each later one is also compared with the first.
+        rate_hz: Frames per second.
+        yaws_deg: Directions of the views; each later one is also compared with the first.
     """
 
     item: str
@@ -87,7 +86,7 @@ class UnseenMotion:
 
 @dataclass(frozen=True)
 class ViewedMotion:
-    """A motion as a camera sees it.
+    """A motion seen by a camera.
 
     Args:
         track: The keypoints.
@@ -99,9 +98,9 @@ class ViewedMotion:
 
 
 def see(motion: UnseenMotion, condition: Condition, yaw_deg: float, rng: np.random.Generator) -> ViewedMotion:
-    """Return what parallel rays `yaw_deg` about +Y see of a motion; the generator draws noise and hidden joints.
+    """Return a motion as parallel rays `yaw_deg` about +Y see it; the generator draws noise and hidden joints.
 
-    The motion is put on the database's body first, its root path kept.
+    The motion is retargeted to the database's body first; its root path is kept.
     """
     shape = motion.world_m.shape[:2]
     noise = rng.normal(0.0, 1.0, (*shape, 2)) * condition.noise
@@ -115,7 +114,7 @@ def see(motion: UnseenMotion, condition: Condition, yaw_deg: float, rng: np.rand
 
 
 def best_candidates(searcher: Searcher, matches: Matches, truth_m: Array) -> Array:
-    """Return for each frame the candidate (frame, 14, 3) nearest to ground truth (frame, 14, 3): a bound, not a method.
+    """Return the candidate of each frame nearest to the ground truth (frame, 14, 3): a bound, not a method.
 
     Candidates are on the reference body.  Frames without candidates have NaN.
     """
@@ -131,9 +130,9 @@ def best_candidates(searcher: Searcher, matches: Matches, truth_m: Array) -> Arr
 
 
 def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -> dict[str, Array]:
-    """Return a motion (frame, 14, 3) in camera axes by method; the database of the searcher has not seen it.
+    """Return the motion (frame, 14, 3) by each method, camera axes; the database must lack it.
 
-    With `has_clean_up` also what the clean-up makes of each, and the live chain with and without.
+    With `has_clean_up`, also each after the clean-up, and the live chain with and without clean-up.
     """
     camera = searcher.database.camera
     track = seen.track
@@ -159,7 +158,7 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
 
 
 def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Array:
-    """Return a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
+    """Return the motion (frame, 14, 3) by the live chain, camera axes; NaN in frames without a pose."""
     live = LiveOptions(
         metres_per_pixel=_KNOWN_BODY.metres_per_pixel,
         has_own_proportions=False,

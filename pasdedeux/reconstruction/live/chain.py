@@ -18,22 +18,22 @@ from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.reconstruction.tracks import Lens
 
 EVERYBODY_ELSE = -1
-"""Stands for all who have no stature of their own."""
+"""Key of the stature of everybody without their own."""
 
 
 class LivePeople:
-    """All people of a video as frames arrive: followed by identity, each reconstructed on their own.
+    """All people of a video as frames arrive: tracked by identity, each reconstructed separately.
 
     Args:
-        searcher: Database made ready.
+        searcher: Prepared database.
         rate_hz: Frames per second.
-        image_size_px: Width and height; estimated from the first people seen when not given.
-        focal_px: Focal length where it is known.
-        statures_m: Statures by person id; under `EVERYBODY_ELSE` that of the others.
-        options: How.
+        image_size_px: Width and height; estimated from the first people seen if not given.
+        focal_px: Focal length, if known.
+        statures_m: Statures by person id; under `EVERYBODY_ELSE`, that of the others.
+        options: Settings.
 
     Attributes:
-        person_ids: Everybody who came.
+        person_ids: Everybody seen so far.
     """
 
     def __init__(
@@ -61,11 +61,11 @@ class LivePeople:
 
     @property
     def camera_from_upright_rotmat(self) -> Array:
-        """How the camera is pitched (3, 3)."""
+        """Rotation from upright axes to those of the pitched camera (3, 3)."""
         return self._searcher.database.camera.camera_from_upright_rotmat
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
-        """Take the detections of a frame (detection, 14, 2), any order; return the poses that are due, by person."""
+        """Add the detections of a frame (detection, 14, 2), in any order; return the poses that are due."""
         if self._last_frame is not None and frame <= self._last_frame:
             raise InputError(f"frame {frame} comes after frame {self._last_frame}; frames must come in order")
         self._last_frame = frame
@@ -106,7 +106,7 @@ class LivePeople:
 
 
 def warm_up(searcher: Searcher, options: LiveOptions | None = None) -> None:
-    """Load compiled kernels before the first image by passing a pose of the database through a separate chain."""
+    """Load compiled kernels before the first image: pass a pose of the database through a separate chain."""
     options = options or LiveOptions()
     options = options.model_copy(update={"lag": min(options.lag, 6)})
     people = LivePeople(searcher, rate_hz=30.0, image_size_px=(1920, 1080), options=options)

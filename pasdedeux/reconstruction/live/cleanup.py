@@ -1,9 +1,8 @@
-"""Clean-up of a motion that is still going on: what `cleanup` does to a whole one, a frame at a time and once for all.
+"""Clean-up of a motion in progress, one frame at a time: the live form of `cleanup`.  Poses are never changed later.
 
-A foot that slows down near the floor is planted where it is shown at that moment and stays there.  The body
-follows what its planted feet say, within a moment and never by a jump; what is left is taken up by the legs.  A foot
-that leaves goes back to where it is seen within the time of a blend.  Who is held up by
-somebody near stands on nothing.
+A foot that slows down near the floor is planted where it is at that moment, and stays there.  The body follows its
+planted feet within a moment, without jumps; the legs reach the rest.  A foot that leaves returns to where it is seen
+within the time of a blend.  A person held up by somebody near has no planted feet.
 """
 
 from __future__ import annotations
@@ -21,27 +20,27 @@ _LEGS = np.array(OP14.legs)
 _UP, _AWAY = 1, 2
 _FLOOR_QUANTILE = 0.1
 _LEAVING = 1.5
-"""A planted foot is let go of at this many times the speed and the height that it was planted at."""
+"""A planted foot is released at this multiple of the speed and the height at which feet are planted."""
 
 
 _STANDING = StandingSettings(contact_speed_m_s=0.45, away_share=0.25)
 _CONTACT_SPEED_M_S, _CONTACT_HEIGHT_M = _STANDING.contact_speed_m_s, _STANDING.contact_height_m
 _AWAY_SHARE = _STANDING.away_share
 _SHIFT_S = 0.2
-"""The body follows its planted feet within this time."""
+"""Time in which the body follows its planted feet."""
 _HOLD_S = 2.0
-"""A correction of the path fades over this time while no foot is planted."""
+"""Time over which a correction of the path fades while no foot is planted."""
 _MAX_DRIFT_M = 0.12
-"""A planted foot that is seen further away than this has left."""
+"""Largest distance of a planted foot from where it is seen."""
 _CARRYING_M = 0.8
-"""People whose hips are nearer than this on the ground may carry each other: one floor."""
+"""Largest level distance between the hips of people who may carry each other, and so share a floor."""
 
 
 class LiveFloor:
     """The floor under the people of a video as frames arrive.
 
-    A wrong pitch tilts the floor, so its height is that of each person's feet in the last frames; for people who may
-    carry each other, that of the lower feet.
+    A wrong pitch tilts the floor, so its height follows from each person's feet in the last frames; for people who may
+    carry each other, from the lower feet.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -63,7 +62,7 @@ class LiveFloor:
         return float(floor)
 
     def forget(self, person: int) -> None:
-        """Forget people who are gone."""
+        """Forget a person who is gone."""
         self._heights.pop(person, None)
         self._last.pop(person, None)
 
@@ -73,11 +72,11 @@ class LiveCleanUp:
 
     Args:
         rate_hz: Frames per second.
-        floor: The floor shared with other people; one's own where not given.
-        person: Number of the person there.
+        floor: The floor shared with other people; a separate one by default.
+        person: Number of the person on that floor.
 
     Attributes:
-        floor_m: Height of ankles that stand, as the last step had it.
+        floor_m: Height of standing ankles in the last step.
     """
 
     def __init__(self, rate_hz: float, *, floor: LiveFloor | None = None, person: int = 0) -> None:
@@ -94,7 +93,7 @@ class LiveCleanUp:
 
     @property
     def is_planted(self) -> Flags:
-        """Tell whether the left and the right foot are planted now (2,)."""
+        """Whether the left and the right foot are planted now (2,)."""
         return self._is_planted.copy()
 
     def step(self, frame: int, positions_m: Array) -> Array:
@@ -108,7 +107,7 @@ class LiveCleanUp:
 
 @compiled()
 def _low_quantile(values: Array, share: float) -> float:
-    """Return the value that this share of the finite ones is below."""
+    """Return the value below which this share of the finite values lies."""
     known = np.sort(values[np.isfinite(values)])
     return known[int(share * (known.shape[0] - 1))]
 
@@ -117,7 +116,7 @@ def _low_quantile(values: Array, share: float) -> float:
 def _clean_pose(
     pose: Array, passed: float, floor: float, is_planted: Flags, raw: Array, anchor: Array, offset: Array, shift: Array
 ) -> Array:
-    """Return the cleaned pose (14, 3) and bring the state of both feet and of the path up to it."""
+    """Return the cleaned pose (14, 3), and update the state of both feet and of the path."""
     legs, up = _LEGS, _UP
     lower = min(pose[legs[0, 2], up], pose[legs[1, 2], up])
     wanted = np.zeros(3)

@@ -1,9 +1,9 @@
-"""One person's reconstruction as frames arrive: matched, chosen with a fixed lag, fitted, filtered, cleaned up.
+"""Reconstruct one person as frames arrive: match, choose with a fixed lag, fit, filter, clean up.
 
-Scale and place come from the frames of the last moments; every frame is searched once, its yaws are refined between the
-steps, Viterbi chooses among the candidates, the pose is fitted to a few frames of the image, a 1-euro filter goes over
-rotations and root, and planted feet are stilled. Bones are learned from a person's first moments, whose poses are held
-back and made again with them: no bone ever changes.
+Scale and place follow from the last frames.  Each frame is searched once, and its yaws are refined between the steps.
+Viterbi chooses among the candidates, the pose is fitted to a few frames of the image, a 1-euro filter smooths rotations
+and root, and planted feet are kept still.  Bones are learned from the first frames of a person, whose poses are held
+back and made again with these bones, so that bones never change.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ from pasdedeux.skeletons import OP14
 _LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
 
 NUM_CANDIDATES = 20
-"""Projections kept per frame."""
+"""Number of candidates per frame."""
 PROPORTIONS_EVERY = 15
 """Frames between two estimates of a person's proportions."""
 SETTLING_S = 2.0
-"""A person's bones are estimated for this time and kept; poses until then are held back so long."""
+"""Time over which a person's bones are estimated; poses are held back until then."""
 _WINDOW_S = 0.3
-"""Scale is that of the last so many seconds; longer ones lag behind people who walk away."""
+"""Time over which the scale is taken; longer ones lag behind people who walk away."""
 _FIRST_ROUNDS = 3
-"""Searches of a person's first frame, whose scale is only guessed from the bones."""
+"""Number of searches of a person's first frame, whose scale is guessed from the bones."""
 _SPREAD_FRAMES = 32
-"""Frames that proportions are estimated from, at least when as many were seen, and less than twice as many."""
+"""Proportions are estimated from this many frames or more, up to twice as many, once so many were seen."""
 
 _OF_BONES = OneEuro(min_cutoff_hz=6.0, beta=2.0)
 _OF_ROOT = OneEuro(min_cutoff_hz=0.8, beta=2.0)
 _OF_BENDS = OneEuro(min_cutoff_hz=2.0, beta=1.0)
-"""The 1-euro filters of bone rotations, of the root's path, and of what spine, head and feet take from the matches."""
+"""The 1-euro filters of bone rotations, of the root's path, and of the bends of spine, head and feet by the matches."""
 
 
 class LiveOptions(Settings):
-    """How people are reconstructed live."""
+    """Settings of live reconstruction."""
 
     lag: int = Field(6, ge=0, le=1000, description="A live pose is written this many frames after its image")
     has_clean_up: bool = Field(True, description="Planted feet are stilled and the floor is kept")
@@ -81,13 +81,13 @@ class LivePose:
         positions_m: op14 positions (14, 3).
         root_m: Mid-hip (3,).
         yaw_rad: Yaw of the matched projection.
-        score_m: Mean distance per seen joint to it.
-        row: Database row matched.
-        num_joints_seen: Joints seen in the image.
+        score_m: Mean distance of the seen joints from it.
+        row: Matched row of the database.
+        num_joints_seen: Number of joints seen in the image.
         body: The person's bones, the same in every frame.
         pelvis_m: Pelvis (3,), upright axes (y up), camera at the origin.
         body22_unitquat: Local rotations (22, 4) of the whole body from the standing T-pose, upright axes.
-        floor_m: Height of the floor there; NaN where it is not kept.
+        floor_m: Height of the floor there; NaN without clean-up.
     """
 
     person_id: int
@@ -106,7 +106,7 @@ class LivePose:
 
 @dataclass(frozen=True)
 class _Bones:
-    """A person's bones: shares of the reference's (14,), all times the size, and the width of the hips, metres."""
+    """A person's bones: proportions over the reference (14,), the width of the hips in metres, and the size."""
 
     proportions: Array
     hip_width_m: float
@@ -129,16 +129,16 @@ _REFERENCE = _Bones(np.ones(OP14.num_joints), REFERENCE_HIP_WIDTH_M)
 
 
 class LivePerson:
-    """One person's reconstruction as frames arrive: by bones of the reference until the person's own are known.
+    """The reconstruction of one person as frames arrive: with reference bones until the person's own are known.
 
     Args:
-        person_id: Who.
-        searcher: Database made ready.
+        person_id: The person.
+        searcher: Prepared database.
         rate_hz: Frames per second.
-        lens: The camera as far as it is known.
-        options: How.
+        lens: The lens, as far as it is known.
+        options: Settings.
         floor: The floor shared with the other people of the video.
-        stature_m: Stature where it is known; else that of the reference body, as nearly as one camera tells.
+        stature_m: Stature, if known; otherwise about that of the reference body.
     """
 
     def __init__(
@@ -183,7 +183,7 @@ class LivePerson:
         return [*poses, *self._chain.finish()] if self._is_settled else []
 
     def _settle(self, frame: int) -> list[LivePose]:
-        """Return the poses held back, made with the person's own bones, as soon as these are known."""
+        """Return the poses held back, made again with the person's own bones, as soon as these are known."""
         if not self._held or frame - self._held[0][0] < self._settling - 1:
             return []
         self._chain.finish()
@@ -193,11 +193,11 @@ class LivePerson:
 
 
 class _Chain:
-    """The steps from images to poses with given bones; what the images say of the bones is learned beside them.
+    """The steps from images to poses with given bones; the person's own bones are learned in parallel.
 
-    A frame is placed by the scale so far, searched once, placed anew by its best match, and its candidates are turned
-    to their best yaws at that place, all at the reference's size: body and path grow together about the camera, which
-    sees no difference.  While it learns, nothing is cleaned up: those poses are made again.
+    A frame is placed by the scale so far, searched once, and placed again by its best match; then the yaws of its
+    candidates are refined.  All of this is at the size of the reference, because scaling body and path about the camera
+    leaves the image as it is.  While bones are learned, nothing is cleaned up: those poses are made again.
     """
 
     def __init__(self, person: LivePerson, bones: _Bones, *, is_learning: bool) -> None:
@@ -285,7 +285,7 @@ class _Chain:
         return LiveFrame(frame, row, yaw_steps, refined.distance_m[:count], poses, root, image_m, weights)
 
     def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:
-        """Return the middle of the hips, or where joints are on average says that it is (2,), as `place_track` does."""
+        """Return the middle of the hips (2,); if one is not seen, by mean joint positions, as in `place_track`."""
         if weights[_LEFT_HIP] > 0 and weights[_RIGHT_HIP] > 0:
             return mid_hip(points)
         reference = self._searcher.reference
@@ -299,7 +299,7 @@ class _Chain:
         return self._num_seen > 0
 
     def learned(self) -> _Bones:
-        """Return the person's bones by all frames so far, once all poses of these frames were given."""
+        """Return the person's bones by all frames so far, once all poses of these frames were returned."""
         bones = _Bones(self._estimate_proportions(), REFERENCE_HIP_WIDTH_M)
         if not self._hip_widths:
             return bones
@@ -307,7 +307,7 @@ class _Chain:
         return _Bones(bones.proportions, median(self._hip_widths) * mean_m)
 
     def _learn_proportions(self, own_m: Array, weights: Array, matched_m: Array) -> None:
-        """Keep a frame of those spread over all that were seen, and estimate the proportions now and then."""
+        """Keep frames evenly spread over all seen so far, and estimate the proportions at intervals."""
         if self._num_seen % self._stride == 0:
             self._spread.append((own_m, weights, matched_m))
             if len(self._spread) == 2 * _SPREAD_FRAMES:
@@ -326,11 +326,11 @@ class _Chain:
         return [self._pose(rank, path[at:]) for at, rank in enumerate(ranks)]
 
     def _pose(self, rank: int, path: Integers) -> LivePose:
-        """Return the pose of the oldest frame; `path` has the candidates that it and all waiting frames follow."""
+        """Return the pose of the oldest frame; `path` has the ranks of the candidates of all waiting frames."""
         seen = self._waiting.popleft()
         unitquat = self._rotations.step(seen.frame, bone_rotations(self._fit.fit(path, self._proportions)))
         root = self._size * self._root.step(seen.frame, seen.root_m[None])[0]
-        # Bones turn against each other, so only the body's frame turns with the whole.
+        # Rotations of bones are relative to each other, so only the frame of the body is turned.
         turned = np.array(unitquat)
         turned[OP14.root] = multiply(camera_turns(-root[None])[0], unitquat[OP14.root])
         positions = place_bone_rotations(turned, self._lengths_m, root)

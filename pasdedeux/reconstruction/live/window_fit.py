@@ -1,9 +1,9 @@
 """Fit of the last few frames to what was seen, as frames arrive: the live form of the fit of whole tracks.
 
-Each frame's candidates vote on the depth of every bone once, when it comes; the signs are chosen over time by Viterbi
-with a fixed lag.  When a frame's pose is due, its frame and those that came since are fitted together by the fit of
-whole tracks, behind the two poses given out before, which are held.  Only the oldest frame's pose leaves.  Frames of
-the window that were fitted before start from there, so a step or two are enough.
+The candidates of a frame vote once on the depth of every bone, when the frame arrives; Viterbi with a fixed lag chooses
+the signs over time.  When a pose is due, its frame and the later ones are fitted together, after the last two returned
+poses, which are held.  Only the pose of the oldest frame is returned.  Frames that were fitted before start from there,
+so one or two steps are enough.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ _NUM_HELD = 2
 
 _NOISE_FRAMES = 24
 _NOISE_GAIN = 0.05
-"""How fast the noise of a joint follows its residuals."""
+"""Gain with which the noise of a joint follows its residuals."""
 
 
 MIN_NOISE_M = 0.02
-"""The image is never believed better than this."""
+"""Smallest noise assumed of the image."""
 MAX_AHEAD = 6
-"""Frames after the one that is due which are fitted with it, at most."""
+"""Largest number of later frames that are fitted with the due one."""
 TRUST_PER_MISFIT = 2.0
-"""A bone is trusted to this many times the match's misfit."""
+"""Standard deviation of a retrieved bone over the misfit of the match."""
 STOP = FitSettings(max_iterations=1, tolerance=3e-3)
 STOP_MISSING = FitSettings(max_iterations=4, tolerance=3e-3)
-"""Steps of a fit, and those where a joint of the window is not seen: only the other terms move it."""
+"""Steps of a fit, and of one with an unseen joint in the window, which only the other terms move."""
 
 
 @dataclass
@@ -49,9 +49,9 @@ class LiveFrame:
 
     Args:
         frame: Its number.
-        row: Database rows it was matched to (k,), nearest first.
+        row: Matched rows of the database (k,), nearest first.
         yaw_steps: Their yaws (k,).
-        match_m: How well each matches (k,), metres.
+        match_m: Their distances in the image (k,), metres.
         candidates_m: Their poses (k, 14, 3), camera axes, reference proportions, metres.
         root_m: Mid-hip (3,), camera axes.
         image_m: Joints (14, 2), metres at the depth of the mid-hip about its image; NaN where not seen.
@@ -70,7 +70,7 @@ class LiveFrame:
 
 @dataclass
 class _Fitted:
-    """What is known of a frame that waits; its signs and what follows from them, and the pose of its last fit."""
+    """State of a waiting frame: its votes, its signs with their bones and depths, and the pose of its last fit."""
 
     seen: LiveFrame
     step: SignStep
@@ -99,7 +99,7 @@ class WindowFit:
         self._joint_noise_m = np.zeros(OP14.num_joints)
 
     def see(self, new: LiveFrame, proportions: Array) -> None:
-        """Take a frame whose pose will be due later.
+        """Add a frame whose pose will be due later.
 
         Args:
             new: The frame.
@@ -128,15 +128,15 @@ class WindowFit:
         self._waiting.append(self._newest)
 
     def fit(self, ranks: Integers, proportions: Array) -> Array:
-        """Return the pose (14, 3) of the oldest frame, about its mid-hip, camera axes; the frame is then done with.
+        """Return the pose (14, 3) of the oldest frame, about its mid-hip, camera axes, and remove the frame.
 
         Args:
-            ranks: Candidate that each waiting frame follows by now, the oldest first.
+            ranks: Rank of the candidate of each waiting frame, the oldest first.
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
         signs = trace_signs([waiting.step for waiting in self._waiting])
         window = list(islice(self._waiting, MAX_AHEAD + 1))
-        # A new frame has signs of 0, which are none.
+        # A new frame has signs of 0, so that it counts as changed.
         is_kept = np.array([bool((waiting.sign == signs[at]).all()) for at, waiting in enumerate(window)])
         followed_m = np.array([waiting.step.vectors_m[rank] for waiting, rank in zip(window, ranks, strict=False)])
         for at in np.flatnonzero(~is_kept):

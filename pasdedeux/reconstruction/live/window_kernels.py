@@ -1,7 +1,7 @@
 """The fit of whole tracks, in one kernel for a window of few frames: the same energy and steps as `fit_bones`.
 
 A bone couples only with bones that carry it.  So unknowns are ordered by bones, leaves first, each in all frames of the
-window: columns of a bone end with those of its parent, and eliminating it changes nothing but rows of bones further in.
+window.  Eliminating a bone then changes only rows of the bones that carry it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _SHAPE = topology_of((OP14,))
 _PARENTS, _ORDER, _ROOTS, _STARTS = _SHAPE.parents, _SHAPE.order, _SHAPE.roots, _SHAPE.starts
 _NUM_CARRIED = _SHAPE.carries.sum(axis=1)
 _DEPTH = (_SHAPE.carries.sum(axis=0) - 1.0).astype(np.int64)
-"""Bones between a joint's own and the root, which moves by 3 numbers; bones turn by 2."""
+"""Number of bones between a joint's own and the root.  The root has 3 unknowns, a bone 2."""
 _LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
 _NUM_COLUMNS = 2 * int(_DEPTH.max()) + 3
 
@@ -41,22 +41,22 @@ def fit_window(
     max_iterations: int,
     tolerance: float,
 ) -> Array:
-    """Return the poses (T, 14, 3) of a window behind poses that stay.
+    """Return the fitted poses (T, 14, 3) of a window that follows held poses.
 
     Args:
-        held: Those poses (H, 14, 3).
+        held: Poses before the window, which stay (H, 14, 3).
         guess: First guess (T, 14, 3), metres.
         image: Joints (T, 14, 2), metres at the depth of z = 0.
         distance: Distance (T,) of z = 0 from a pinhole.
         weights: (T, 14); 0 where not seen.
         noise: Standard deviation of the image of each joint (14,).
-        is_kept: Frames (T,) whose joints count less the further they are from the image.
-        bones: Vectors that bones are drawn to (T, 14, 3).
-        firmness: Weight of those (T,).
+        is_kept: Frames (T,) in which joints far from the image have less weight.
+        bones: Vectors to which bones are drawn (T, 14, 3).
+        firmness: Their weights (T,).
         smoothness: Weight of each second difference (H + T - 2,).
-        lengths: Of the bones (14,).
-        max_iterations: Most accepted or refused steps.
-        tolerance: Stops when a step lowers the energy by less than this share.
+        lengths: Bone lengths (14,).
+        max_iterations: Largest number of accepted or refused steps.
+        tolerance: Stop when a step lowers the energy by less than this share.
     """
     frames, first = guess.shape[0], held.shape[0]
     targets, over = np.zeros(guess.shape), np.zeros(weights.shape)
@@ -119,9 +119,9 @@ def fit_window(
 
 @compiled()
 def guess_pose(image: Array, distance: float, depth: Array, bones: Array) -> Array:
-    """Return a pose (14, 3) across as in the image (14, 2), or along bones (14, 3) where not seen, of these depths.
+    """Return a pose (14, 3) with these depths of bones (14,), the mid-hip at z = 0.
 
-    Mid-hip is at z = 0.
+    x and y follow the image (14, 2), or the bones (14, 3) where a joint is not seen.
     """
     pose = np.zeros((_JOINTS, 3))
     for joint in _ORDER[1:]:
@@ -147,7 +147,7 @@ def _difference(at: int) -> float:
 def _pull_of(
     held: Array, poses: Array, targets: Array, over: Array, bones: Array, firmness: Array, smoothness: Array
 ) -> tuple[float, Array]:
-    """Return the energy, and half its gradient by what each bone carries (T, 14, 3)."""
+    """Return the energy, and half its gradient summed over the joints that each bone carries (T, 14, 3)."""
     frames, first = poses.shape[0], held.shape[0]
     energy, pull = 0.0, np.empty(targets.shape)
     for t in range(frames):
@@ -188,7 +188,7 @@ def _curvature(
     coupling: Array,
     damping: float,
 ) -> Array:
-    """Return the rows of each bone (14, 3 T, 9 T) in its own columns and those of the bones that carry it."""
+    """Return the rows of each bone in the columns of itself and of the bones that carry it (14, 3 T, columns T)."""
     frames = over.shape[0]
     carried = over.copy()
     for joint in _ORDER[:0:-1]:
@@ -228,7 +228,7 @@ def _curvature(
 
 @inner_kernel()
 def _solve(rows: Array, basis: Array, pull: Array, step: Array) -> bool:
-    """Solve for the step (T, n) by Cholesky, in place; return whether there is a factor."""
+    """Solve for the step (T, n) by Cholesky, in place; return whether a factor exists."""
     frames = step.shape[0]
     known = np.zeros((_JOINTS, 3 * frames))
     for joint in _ORDER[::-1]:

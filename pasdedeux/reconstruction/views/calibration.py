@@ -1,8 +1,8 @@
-"""Where several cameras stand, told by the people that they see: rays to a joint meet, and bones keep their lengths.
+"""Calibrate several cameras by the people whom they see: rays to a joint meet, and bones keep their lengths.
 
-Everything is in the axes of the first camera (x right, y up, z towards it), metres.  For given cameras every joint is
-where its rays come nearest to each other, so that only cameras are unknown (variable projection, Golub and Pereyra
-1973): of each the focal length, of all but the first also rotation, place and clock.
+Everything is in the axes of the first camera (x right, y up, z towards it), metres.  For given cameras, each joint is
+the point nearest to its rays, so that only cameras are unknown (variable projection, Golub and Pereyra 1973): the focal
+length of each, and rotation, place and clock of all but the first.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread
 
 _RAY_DEVIATION_M = 0.015
-"""Standard deviation of a joint from its ray: what detectors take for the joint differs between sides."""
+"""Standard deviation of a joint from its ray; detectors place a joint differently from different sides."""
 _MIN_DEPTH_M = 0.1
 _BONE_DEVIATION = 0.08
 """Standard deviation of the log of a bone's length in a frame from its mean over time and both sides."""
 _LENS_DEVIATION, _CLOCK_DEVIATION_S = 0.3, 0.1
 _ALIKE_S = 0.7
-"""Frames within this time err alike."""
+"""Errors of frames within this time are alike."""
 _MIN_SHARED = 5
-"""Joints of a person that two cameras must see at one time."""
+"""Smallest number of joints of a person that two cameras see at one time."""
 _MAX_FRAMES = 60
-"""Frames that cameras are calibrated from, evenly chosen, at most."""
+"""Largest number of frames for the calibration, evenly chosen."""
 
 
 @dataclass(frozen=True)
 class View:
-    """One camera, and what it sees at the moments of the first.
+    """A camera, and its keypoints at the times of the first camera.
 
     Args:
-        lens: Its lens as far as it is known; of a calibrated camera as it is.
+        lens: Its lens, as far as it is known; exact for a calibrated camera.
         rotmat: Rotation from the first camera's axes to its own (3, 3).
         position_m: Its place in the first camera's axes (3,).
-        offset_s: What to add to times of the first camera to have those of this one.
+        offset_s: Offset of its clock from that of the first camera.
         px: Keypoints (frame, person, 14, 2), pixels, NaN where not seen.
-        speed_px_s: How fast they move.
+        speed_px_s: Their velocities.
         confidence: (frame, person, 14), 0 where not seen.
-        is_calibrated: Lens, rotation and place are given.
+        is_calibrated: Whether lens, rotation and place are given.
     """
 
     lens: Lens
@@ -61,7 +61,7 @@ class View:
     is_calibrated: bool = False
 
     def moved(self, change: Array) -> View:
-        """Return it with other unknowns: log focal length, rotation vector (3), displacement (3), and clock."""
+        """Return the view after a change of log focal length, rotation vector (3), displacement (3), and clock."""
         turn = rotmat_from_unitquat(unitquat_from_rotvec(change[1:4]))
         return replace(
             self,
@@ -85,13 +85,13 @@ class View:
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
     def off_px(self, points_m: Array) -> Array:
-        """Return how far points (frame, person, 14, 3) are in the image from where they are seen (..., 2)."""
+        """Return the offsets in the image (..., 2) of points (frame, person, 14, 3) from the keypoints, pixels."""
         seen = (points_m - self.position_m) @ self.rotmat.T
         depth = np.maximum(-seen[..., 2:], _MIN_DEPTH_M)
         return np.asarray(self.lens.focal_px * (seen[..., :2] / depth - self.plane))
 
     def deviation_px(self, points_m: Array) -> float:
-        """Return how far joints at the depth of these points mostly are from where they are seen, pixels."""
+        """Return the standard deviation in the image of joints at the depth of these points, pixels."""
         depth = -((points_m - self.position_m) @ self.rotmat.T)[..., 2]
         return self.lens.focal_px * _RAY_DEVIATION_M / max(float(np.nanmedian(depth)), _MIN_DEPTH_M)
 
@@ -101,7 +101,7 @@ class View:
 
 
 def meet(views: Sequence[View]) -> Array:
-    """Return where the rays of the views come nearest to each other (frame, person, 14, 3); NaN for fewer than two."""
+    """Return the points nearest to the rays of the views (frame, person, 14, 3); NaN for fewer than two rays."""
     count = np.zeros(views[0].confidence.shape, dtype=int)
     total, moment = np.zeros((*count.shape, 3, 3)), np.zeros((*count.shape, 3))
     for view in views:
@@ -118,7 +118,7 @@ def meet(views: Sequence[View]) -> Array:
 
 
 def lengths_of(points_m: Array) -> tuple[Array, Array]:
-    """Return bones (frame, person, 14) over their length, and these (person, 14): medians over time and both sides."""
+    """Return lengths of bones (frame, person, 14) over their typical ones, and these: medians over time, sides tied."""
     each = bone_lengths(OP14, points_m)
     with np.errstate(all="ignore"):
         both = np.stack([np.nanmedian(part, axis=0) for part in (each, each[..., OP14.mirror])])
@@ -132,10 +132,10 @@ def calibrate(
     """Return the views with lens, rotation, place and clock from the people that they see.
 
     Args:
-        views: Views as they are first taken to be; the first one keeps place, rotation and clock.
+        views: Initial views; the first one keeps place, rotation and clock.
         statures_m: Stature of each person (person,), which sets the scale.
         rate_hz: Frames per second of the first camera.
-        is_stated: Whose stature is known (person,), and not only likely; None for nobody's.
+        is_stated: Whether each stature is stated (person,), not estimated; None if none is.
 
     Raises:
         InputError: At no time two views see enough of the same joints of a person.
@@ -148,14 +148,14 @@ def calibrate(
     part = [view.chosen(shown) for view in views]
     free = _free(views)
     is_scaled = any(view.is_calibrated for view in views[1:])
-    # Frames near each other err alike and count as one: what is known beforehand counts so much more.
+    # Errors of near frames are alike, so that they count as one; instead, give priors a larger weight.
     scale = np.sqrt(max(1.0, _ALIKE_S * rate_hz * len(shown) / (shown[-1] - shown[0] + 1)))
 
     size_deviations = np.where(
         np.zeros(len(statures_m)) if is_stated is None else is_stated, KNOWN_DEVIATION, STATURE_DEVIATION
     )
     guess_m = meet(part)
-    # In pixels of the first guess: in metres, small people before short lenses would be nearer to their rays.
+    # In pixels of the initial views: in metres, small people before short lenses would be nearer to their rays.
     deviations = [view.deviation_px(guess_m) for view in part]
 
     def unpacked(unknowns: Array) -> Array:

@@ -1,6 +1,6 @@
-"""Which people of two cameras are the same, and how far their clocks differ: by how their joints rise and fall.
+"""Match people and clocks of two cameras by the vertical speeds of joints.
 
-How fast a joint moves up, against the mid-hip, is the same for every camera.
+The upward speed of a joint relative to the mid-hip is the same for every camera.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.retarget import mid_hip
 
 _MIN_SHARED_S = 1.0
-"""Clocks are compared where both cameras see a person for so long, or for half of the shorter film."""
+"""Smallest time for which both cameras must see a person to compare clocks, or half of the shorter film."""
 _MIN_CORRELATION = 0.25
-"""Mean correlation of speeds below which people are not the same: 0.32 or more for built-in duets whose poses the
-database lacks, 0.21 at most at wrong times or with people exchanged."""
+"""Smallest mean correlation of speeds of the same people: 0.32 or more for built-in duets whose poses the database
+lacks, at most 0.21 at wrong times or with people exchanged."""
 _SMOOTHING_S = 0.1
-"""Standard deviation of the Gaussian that speeds are smoothed by: errors of single frames have none of the motion."""
+"""Standard deviation of the Gaussian that smooths speeds, because errors of single frames are no motion."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Rising:
 
     @classmethod
     def of(cls, times_s: Array, upright_m: Array, is_known: Flags, rate_hz: float) -> Rising:
-        """Return it of upright positions (frame, 14, 3) at times (frame,), resampled to a rate."""
+        """Return the upward motion of upright positions (frame, 14, 3) at times (frame,), resampled to a rate."""
         height_m = upright_m[..., 1] - mid_hip(upright_m)[:, None, 1]
         from scipy.ndimage import gaussian_filter1d  # here: planning does not need it
 
@@ -52,11 +52,11 @@ class Rising:
 
 @dataclass(frozen=True)
 class SameTake:
-    """What two cameras have in common.
+    """The match of two cameras.
 
     Args:
-        offset_s: What to add to times of the first camera to have those of the second.
-        person_ids: Person of the first by person of the second.
+        offset_s: Offset of the second camera's clock from the first.
+        person_ids: Person of the first camera by person of the second.
     """
 
     offset_s: float
@@ -72,7 +72,7 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
         rate_hz: Rate of both.
 
     Raises:
-        InputError: Nobody moves alike before both, or they have too little time in common.
+        InputError: Nobody moves alike in both, or they share too little time.
     """
     from scipy.optimize import linear_sum_assignment  # here: planning does not need it
 
@@ -108,9 +108,9 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
 
 
 def _correlations(first: Rising, second: Rising, lags: Array, rate_hz: float) -> Array:
-    """Return the correlation of the speeds at every lag in frames, by the clocks of the cameras (lag,).
+    """Return the correlation of the speeds at every lag between the clocks, in frames (lag,).
 
-    0 where they have too little in common.
+    0 where they share too little time.
     """
     start = (second.first_s - first.first_s) * rate_hz
     needed = min(_MIN_SHARED_S * rate_hz, 0.5 * min(len(first.speed_m_s), len(second.speed_m_s)))
@@ -130,7 +130,7 @@ def _correlations(first: Rising, second: Rising, lags: Array, rate_hz: float) ->
 
 
 def _peak(values: Array, at: int) -> float:
-    """Return how far the top of the parabola through a value and its neighbours is from it, in steps."""
+    """Return the offset of the top of the parabola through a value and its neighbours, in steps."""
     if not 0 < at < len(values) - 1:
         return 0.0
     before, here, after = values[at - 1 : at + 2]

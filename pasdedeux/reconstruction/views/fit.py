@@ -1,4 +1,4 @@
-"""Poses with exact bones fitted to the rays of all views at once, as one view is fitted to its image."""
+"""Fit poses with exact bones to the rays of all views at once."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pasdedeux.reconstruction.views.calibration import View
 from pasdedeux.skeletons import OP14
 
 _BONE_DEVIATION_M = 0.1
-"""Standard deviation of a bone as one view alone tells it, where all views say something."""
+"""Standard deviation of a bone by one view alone, where several views see it."""
 _MIN_NOISE_M = 0.008
-"""Rays are never believed better than this."""
+"""Smallest noise assumed of rays."""
 _NUM_ROUNDS = 3
 _STOP = FitSettings(max_iterations=10, tolerance=1e-3)
 
@@ -38,7 +38,7 @@ class RayTerm(Term):
     rays: Array
     weights: Array
 
-    is_quadratic = False  # its axes depend on each other, which only stencils can say
+    is_quadratic = False  # its axes depend on each other, which only stencils can express
 
     def _across(self, positions_m: Array) -> Array:
         away = positions_m - self.camera_m
@@ -75,7 +75,7 @@ def fit_person(
     Args:
         views: Calibrated views.
         person: Number of the person in them.
-        guess_m: Poses as one view tells them (frame, 14, 3), axes of the first camera: where no ray says more.
+        guess_m: Poses by one view (frame, 14, 3), axes of the first camera; they decide where rays do not.
         lengths_m: Bone lengths (14,), kept exactly.
         rate_hz: Frames per second.
     """

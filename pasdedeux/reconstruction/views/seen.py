@@ -1,4 +1,4 @@
-"""A camera that saw reconstructed people, as files and pages show it: in the frame of the motions, beside its image."""
+"""Cameras that saw reconstructed people, in the frame of the motions, for files and pages."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pasdedeux.skeletons import OP14
 
 @dataclass(frozen=True)
 class SeenBy:
-    """A camera and what it shows of the people at the frames of `shown_frames`.
+    """A camera and its keypoints of the people at the frames of `shown_frames`.
 
     Args:
         name: Its name.
         camera: Lens, rotation and place in the frame of the motions: upright, soles at y = 0.
-        keypoints_px: Where it sees the joints (frame, person, 14, 2), pixels; NaN where not seen.
+        keypoints_px: Its keypoints (frame, person, 14, 2), pixels; NaN where not seen.
         rate_hz: Its frames per second.
         first_time_s: Time of its frame 0 by the clock of the first camera.
-        offset_s: What to add to times of the first camera to have those of this one.
+        offset_s: Offset of its clock from that of the first camera.
         angle_rad: Angle at the people between the rays to this camera and to the first one.
     """
 
@@ -37,12 +37,12 @@ class SeenBy:
     angle_rad: float = 0.0
 
     def off_px(self, upright_m: Array) -> float:
-        """Return how far joints (frame, person, 14, 3) are from where it sees them, median, pixels; NaN: sees none."""
+        """Return the median distance of joints (frame, person, 14, 3) from the keypoints, pixels; NaN without any."""
         away = np.linalg.norm(self.camera.project(upright_m).px - self.keypoints_px, axis=-1)
         return float(np.nanmedian(away)) if np.isfinite(away).any() else float("nan")
 
     def in_words(self, upright_m: Array) -> str:
-        """Say where it is, by its distance from the people (frame, person, 14, 3), and how well it agrees with them."""
+        """Return in words its distance from the people (frame, person, 14, 3), its lens, clock and agreement."""
         width, focal_px = self.camera.image_size_px[0], self.camera.focal_px
         distance_m = np.linalg.norm(self.camera.position_m - np.nanmean(upright_m, axis=(0, 1, 2)))
         across = np.rad2deg(2.0 * np.arctan(0.5 * width / focal_px))
@@ -73,7 +73,7 @@ def upright_m(people: ReconstructedPeople) -> Array:
 
 
 def seen_alone(people: ReconstructedPeople, name: str = "1") -> SeenBy:
-    """Return the camera of people whom one camera saw."""
+    """Return the camera of people seen by one camera."""
     made, frames = people.methods[-1], shown_frames(people)
     track = made.people[0].track
     keypoints_px = np.full((len(frames), len(made.people), OP14.num_joints, 2), np.nan)
@@ -84,7 +84,7 @@ def seen_alone(people: ReconstructedPeople, name: str = "1") -> SeenBy:
 
 
 def camera_facts(cameras: Sequence[SeenBy], upright_m: Array) -> dict[str, Array]:
-    """Return several cameras as files of motion have them, by name; nothing for one, which `camera_...` has."""
+    """Return the values of several cameras by name, for files of motion; for one camera nothing, see `camera_...`."""
     if len(cameras) < 2:
         return {}
     return {

@@ -1,4 +1,4 @@
-"""The people of a take from several cameras: each camera alone, then clocks, cameras and poses of all together."""
+"""Reconstruct the people of a take from several cameras: each alone, then clocks, cameras and poses together."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from pasdedeux.reconstruction.views.seen import SeenBy, seen_alone
 from pasdedeux.skeletons import OP14
 
 _NUM_PASSES = 4
-"""Calibrations, each with keypoints taken at the clocks of the one before."""
+"""Number of calibrations; each uses keypoints at the clocks of the one before."""
 _SPEED_S = 0.1
-"""Speeds of keypoints are over so long before and after: the noise of neighbours is larger than how far they move."""
+"""Speeds of keypoints are taken over this time before and after: between neighbouring frames, noise dominates."""
 _BAD_M, _BAD_CALIBRATED_M, _DOUBTFUL_M = 0.15, 0.06, 0.04
-"""Joints that are farther from their rays are refused, or a warning: keypoints of 2 px of noise are 1 cm off, and 8 cm
-if calibrated cameras are exchanged."""
+"""Largest distances of joints from their rays: beyond the first (the second with calibration) they are refused, beyond
+the third there is a warning.  Keypoints with noise of 2 px give 1 cm, and 8 cm if calibrated cameras are exchanged."""
 _BAD_BONES, _DOUBTFUL_BONES = 0.18, 0.1
-"""The same of how bones change their lengths where rays meet, upper quartile: 0.05 to 0.07 of duets and salsa with 2 px
-of noise, 0.12 to 0.14 with 5 px; 0.10 to 0.16 from cameras 7, 15 and 160 degrees apart, whose poses are 7 to 12 cm
-wrong; 0.08 to 0.21 if one camera shows another duet."""
+"""The same for the change of bone lengths where rays meet, upper quartile: 0.05 to 0.07 for duets and salsa with 2 px
+of noise, 0.12 to 0.14 with 5 px; 0.10 to 0.16 for cameras 7, 15 and 160 degrees apart, with errors of poses of 7 to 12
+cm; 0.08 to 0.21 if one camera shows another duet."""
 _MEAN_OVER_DEVIATION = float(np.sqrt(2.0 / np.pi))
-"""Mean size of an error over its standard deviation."""
+"""Mean size of a normal error over its standard deviation."""
 _ONE_SIDE_RAD = float(np.deg2rad(4.0))
-"""Cameras that are nearer to each other, as seen from the people, are the same."""
+"""Smallest angle, seen from the people, between different cameras."""
 _STATURES_M = 0.6, 2.6
 """Shortest and tallest people."""
 _GIVEN_PITCH_RAD = 0.01
@@ -53,7 +53,7 @@ _GIVEN_PITCH_RAD = 0.01
 
 
 class Moments(NamedTuple):
-    """What a camera sees of people (frame, person, 14): pixels, their speed, and confidence, see `View`."""
+    """Keypoints of people (frame, person, 14): pixels, velocities and confidence, see `View`."""
 
     px: Array
     speed_px_s: Array
@@ -62,18 +62,18 @@ class Moments(NamedTuple):
 
 @dataclass(frozen=True)
 class SeenTogether:
-    """A take that several cameras saw.
+    """A take seen by several cameras.
 
     Args:
         people: The people before the first camera.
-        views: All cameras, in its axes.
-        names: What they are called.
+        views: All cameras, in axes of the first.
+        names: Their names.
         rates_hz: Their frames per second.
         first_times_s: Times of their frames 0, each by its own clock.
-        off_m: Median distance of joints from the rays in which they are seen.
-        bones_vary: By which part bones change their lengths where rays meet, upper quartile.
-        is_scale_known: A stature is stated, or the cameras are calibrated.
-        left_out: People of other cameras who match nobody reconstructed from the first one, in words.
+        off_m: Median distance of joints from their rays.
+        bones_vary: Relative change of bone lengths where rays meet, upper quartile.
+        is_scale_known: Whether a stature is stated, or the cameras are calibrated.
+        left_out: Messages about people of other cameras who match nobody of the first.
     """
 
     people: ReconstructedPeople
@@ -88,7 +88,7 @@ class SeenTogether:
 
     @property
     def judged(self) -> Judged:
-        """What is expected of it: joints are as far off as from their rays, and everything as much as the scale."""
+        """Verdicts; expected errors combine the distances from rays with the error of the scale."""
         scale = KNOWN_DEVIATION if self.is_scale_known else STATURE_DEVIATION * _MEAN_OVER_DEVIATION
         doubts = [f"the cameras differ by {100 * self.off_m:.0f} cm"] if self.off_m > _DOUBTFUL_M else []
         if self.bones_vary > _DOUBTFUL_BONES:
@@ -119,7 +119,7 @@ class SeenTogether:
 
     @property
     def cameras(self) -> list[SeenBy]:
-        """The cameras in the frame of the motions, the first one first."""
+        """The cameras in the frame of the motions, starting with the first."""
         first, people = seen_alone(self.people, self.names[0]), self.people.methods[-1].people
         middle_m = np.mean(np.concatenate([person.root_m for person in people]), axis=0)
         cameras = list[SeenBy]()
@@ -151,16 +151,16 @@ def reconstruct_views(
     calibration: Sequence[CalibratedCamera] = (),
     on_camera: Callable[[], None] = lambda: None,
 ) -> SeenTogether:
-    """Reconstruct the people of a take that several cameras saw, in the frames of the first one.
+    """Reconstruct the people of a take seen by several cameras, in the frames of the first camera.
 
     Args:
         cameras: Tracks of people by camera, at least two cameras; numbers of people may differ between them.
-        database: Poses that have not seen the take.
-        stated: What is known of the first camera.
-        options: Clean-up, and statures by the numbers of the first camera.
-        names: What the cameras are called, if not by their numbers from 1 on.
-        calibration: The cameras where they are given, in any world in metres; else the people tell where they are.
-        on_camera: Called when a camera is reconstructed alone.
+        database: Poses of other takes.
+        stated: Stated facts about the first camera.
+        options: Clean-up, and statures by person ids of the first camera.
+        names: Names of the cameras; by default their numbers from 1 on.
+        calibration: The cameras, if given, in any world in metres; else they are estimated from the people.
+        on_camera: Called after each camera is reconstructed alone.
 
     Raises:
         InputError: Before a camera nobody can be reconstructed, the cameras do not show the same people, they do not
@@ -232,17 +232,17 @@ def reconstruct_views(
 
 
 def _angle_rad(first: View, other: View, middle_m: Array) -> float:
-    """Return the angle at a point (3,) between the rays to two cameras; 0 if one of them is there."""
+    """Return the angle at a point (3,) between the rays to two cameras; 0 if a camera is at the point."""
     a, b = first.position_m - middle_m, other.position_m - middle_m
     cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12) if a.any() and b.any() else 1.0
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _check_angles(names: Sequence[str], views: Sequence[View], people: Sequence[ReconstructedTrack]) -> None:
-    """Refuse cameras that all see the people (camera axes of the first) from one side.
+    """Refuse cameras that all see the people from one side.
 
     Raises:
-        InputError: Says how far apart they are.
+        InputError: The largest angle between them is too small.
     """
     middle_m = np.mean(np.concatenate([person.root_m for person in people]), axis=0)
     most_rad = max(_angle_rad(first, other, middle_m) for first, other in combinations(views, 2))
@@ -254,10 +254,10 @@ def _check_angles(names: Sequence[str], views: Sequence[View], people: Sequence[
 
 
 def _check_sizes(views: Sequence[View]) -> None:
-    """Refuse a calibration that makes people too small or too tall.
+    """Refuse a calibration by which people are too small or too tall.
 
     Raises:
-        InputError: Says how tall.
+        InputError: A stature is not plausible.
     """
     statures_m = body_height_m(OP14, lengths_of(meet(views))[1])
     odd_m = statures_m[(statures_m < _STATURES_M[0]) | (statures_m > _STATURES_M[1])]
@@ -269,7 +269,7 @@ def _check_sizes(views: Sequence[View]) -> None:
 
 
 def _match(names: Sequence[str], alone: Sequence[ReconstructedPeople], rate_hz: float) -> list[SameTake]:
-    """Return what each of the other cameras has in common with the first.
+    """Return the match of each other camera with the first.
 
     Raises:
         InputError: They do not show the same people at the same time.
@@ -284,7 +284,7 @@ def _match(names: Sequence[str], alone: Sequence[ReconstructedPeople], rate_hz: 
 
 
 def _in_order(people: ReconstructedPeople, take: SameTake, names: Sequence[int]) -> Sequence[ReconstructedTrack | None]:
-    """Return how a camera alone sees the people of these names of the first camera; None where it does not."""
+    """Return the tracks by one camera of people with these ids of the first camera; None where it does not see one."""
     theirs = {name: other for other, name in take.person_ids.items()}
     return [_of(people, theirs[name]) if name in theirs else None for name in names]
 
@@ -296,7 +296,7 @@ def _first_views(
     times_s: Array,
     calibration: Sequence[CalibratedCamera],
 ) -> list[View]:
-    """Return the cameras as they are given, else as each alone sees the people."""
+    """Return the initial cameras: as given, else by each camera's own reconstruction of the people."""
     views = []
     for number, (people, shown, offset_s) in enumerate(zip(alone, seen, offsets_s, strict=True)):
         rotmat, position_m = np.eye(3), np.zeros(3)
@@ -313,7 +313,7 @@ def _first_views(
 def _fit_people(
     views: Sequence[View], people: Sequence[ReconstructedTrack], times_s: Array, rate_hz: float
 ) -> tuple[list[ReconstructedTrack], float]:
-    """Return the people of the first camera fitted to all views, and how far joints are from their rays, metres."""
+    """Return the people of the first camera fitted to all views, and the distance of joints from their rays, metres."""
     lengths_m = lengths_of(meet(views))[1]
     fitted, off_m = [], []
     for number, person in enumerate(people):
@@ -328,7 +328,7 @@ def _fit_people(
 
 
 def _calibrated(track: Track, camera: CalibratedCamera) -> Track:
-    """Return a track as a camera without distortion sees it."""
+    """Return a track with undistorted keypoints and the calibrated lens."""
     lens = Lens(camera.focal_px, (float(camera.matrix[0, 2]), float(camera.matrix[1, 2])), is_known=True)
     return replace(track, keypoints_px=camera.undistorted_px(track.keypoints_px), lens=lens)
 
@@ -364,7 +364,7 @@ def _times(people: Sequence[ReconstructedTrack]) -> Array:
 
 
 def _moments(people: Sequence[ReconstructedTrack | None], times_s: Array) -> Moments:
-    """Return what a camera sees of people at times (frame,) by its clock, between its frames by interpolation."""
+    """Return the keypoints of people at times (frame,) by the camera's clock, interpolated between its frames."""
     shape = (len(times_s), len(people), OP14.num_joints)
     px, speed, confidence = np.full((*shape, 2), np.nan), np.zeros((*shape, 2)), np.zeros(shape)
     for number, person in enumerate(people):
@@ -397,9 +397,9 @@ def _placed(
     theirs: Sequence[ReconstructedTrack | None],
     offset_s: float,
 ) -> tuple[Array, Array]:
-    """Return rotation and place of another camera (3, 3), (3,) before the first, as both see the people upright.
+    """Return rotation (3, 3) and place (3,) of another camera in axes of the first, by their upright people.
 
-    What one camera alone takes the people to be is turned about the vertical and displaced to what the other does.
+    The people by one camera alone are turned about the vertical and displaced onto those by the other.
     """
     ours_m, theirs_m = [], []
     for person, same in zip(seen, theirs, strict=True):
@@ -422,7 +422,7 @@ def _placed(
 
 
 def _stature_m(people: Sequence[ReconstructedTrack | None], options: SequenceOptions) -> float:
-    """Return the stature of a person: stated, else the mean of what each camera alone takes it to be."""
+    """Return the stature of a person: stated, else the mean of the estimates by each camera alone."""
     assert people[0] is not None
     if stated := options.statures_m.get(people[0].person_id):
         return stated
@@ -431,7 +431,7 @@ def _stature_m(people: Sequence[ReconstructedTrack | None], options: SequenceOpt
 
 
 def _up(alone: Sequence[ReconstructedPeople], views: Sequence[View]) -> PitchEstimate:
-    """Return the pitch of the first camera as all cameras tell where up is; as given, if it was."""
+    """Return the pitch of the first camera from the upright axes of all cameras; the given pitch, if any."""
     pitch = alone[0].pitch
     if pitch.is_given:
         return pitch

@@ -8,12 +8,12 @@ image does not show which root is nearer, so several rules give their relative d
   hypothesis if the roots are further apart in the image;
 - `size`: by the apparent sizes, given a known or assumed distance of the camera;
 - `near`, `far`: person B nearer or further than that (than `zero` when the distance is unknown) by sqrt(3) standard
-  deviations of what is known, so that the three together have its mean and variance.
+  deviations, so that the three together have the mean and variance of the relative depth.
 
-A hypothesis is weighed by how people stand (backbones near upright for a camera held near level), how well its depth
-agrees with the apparent sizes, and whether the bodies would share one place.  The fit of the torso does not show
-which twin is true (in trials on captured dancers the better fitting one was right in 36-49 % of the cases), so it does
-not enter.
+The weight of a hypothesis depends on the lean of the backbones (people stand nearly upright, and cameras are held
+nearly level), on how well its depth agrees with the apparent sizes, and on whether the bodies would overlap.  The fit
+of the torso does not show which twin is true (for captured dancers, the better fit was right in 36-49 % of the cases),
+so it does not count.
 """
 
 from __future__ import annotations

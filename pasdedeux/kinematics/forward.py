@@ -84,15 +84,15 @@ def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m:
 def local_rotations(
     skeleton: Skeleton, rest_m: Array, positions: Array, reference_world_unitquat: Array | None = None
 ) -> Array:
-    """Return local rotations that carry the rest pose onto posed bones: swing from the bones, twist from a reference.
+    """Return local rotations from the rest pose to posed bones: swing by the bones, twist by a reference.
 
-    A joint with one child swings its reference rotation until the bone fits.  A joint with several children takes the
-    rotation that fits them best in the least-squares sense (Kabsch), started from the reference where the children do
-    not fix it.  A joint without children keeps its reference relative to its parent's correction.
+    A joint with one child gets its reference rotation, swung until the bone fits.  A joint with several children gets
+    the rotation of least squares (Kabsch), held to the reference where the children do not determine it.  A joint
+    without children keeps its reference relative to its parent.
 
     Args:
         skeleton: Tree of J joints.
-        rest_m: Rest positions (J, 3), or what broadcasts to the posed ones, metres.
+        rest_m: Rest positions (J, 3), or broadcast to the posed ones, metres.
         positions: Posed positions (*batch, J, 3), metres.
         reference_world_unitquat: World rotations from the rest pose (*batch, J, 4) whose twist is kept; identity
             (swing only) when not given.

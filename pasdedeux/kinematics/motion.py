@@ -64,7 +64,7 @@ class Motion:
         return forward_kinematics(self.skeleton, self.rest_offsets_m, np.zeros(3), still)[0]
 
     def with_joints(self, names: Sequence[str], parents: Sequence[int], offsets_m: Sequence[Array]) -> Motion:
-        """Return the motion with further joints, which never turn, at offsets from joints that it has."""
+        """Return the motion with additional joints, which never turn, at offsets from existing joints."""
         if not names:
             return self
         known = self.skeleton
@@ -77,17 +77,17 @@ class Motion:
         )
 
     def first_frames(self, count: int) -> Motion:
-        """Return the first frames of the motion, so many."""
+        """Return the first frames of the motion."""
         return replace(
             self, root_translation_m=self.root_translation_m[:count], local_unitquat=self.local_unitquat[:count]
         )
 
     def resample(self, rate_hz: float, *, start_s: float = 0.0) -> Motion:
-        """Return motion at another rate: positions linearly, rotations on the short arc, from a time on.
+        """Return the motion at another rate: positions are interpolated linearly, rotations on the short arc.
 
         Args:
-            rate_hz: Its rate.
-            start_s: Time of its first frame, counted from the first one here.
+            rate_hz: The new rate.
+            start_s: Time of the new first frame, from the present one.
         """
         if (rate_hz == self.rate_hz and not start_s) or self.num_frames < 2:
             return replace(self, rate_hz=rate_hz)
@@ -108,7 +108,7 @@ class Motion:
 def frames_at_rate(
     num_frames: int, *, from_hz: float, to_hz: float, start_s: float = 0.0
 ) -> tuple[Integers, Integers, Array]:
-    """Return where the frames of another rate lie, from a time on: between which two frames, and how far, 0 to 1."""
+    """Return the frames before and after each frame of another rate, from a time on, and the share of the second."""
     first = start_s * from_hz
     count = int(np.floor((num_frames - 1 - first) * to_hz / from_hz + 1e-9)) + 1
     at = first + np.arange(count) * (from_hz / to_hz)

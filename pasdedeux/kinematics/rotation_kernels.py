@@ -1,7 +1,7 @@
 """Vectors, segments and unit quaternions inside compiled loops: tuples of floats, which numba keeps in registers.
 
-The same conventions as `rotations`: quaternions (x, y, z, w), rotation vectors in radians, the left factor turns last.
-Python cannot call these functions; compiled code can.
+Conventions as in `rotations`: quaternions (x, y, z, w), rotation vectors in radians, the left factor turns last.  Only
+compiled code can call these functions.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def carry(start: Vector, end: Vector, vector: Vector) -> Vector:
 
 @inner_kernel()
 def closest_on_segments(aa: float, bb: float, ab: float, ag: float, bg: float, parallel: float) -> tuple[float, float]:
-    """Return where on segments a and b (0 at their starts, 1 at their ends) the points closest to each other are.
+    """Return the closest points of segments a and b as parameters (0 at their starts, 1 at their ends).
 
     Ericson (2004), "Real-Time Collision Detection", section 5.1.9: the parameter on one segment is solved, clamped, and
     the other follows.  A segment may be a point.
@@ -117,7 +117,7 @@ def closest_on_segments(aa: float, bb: float, ab: float, ag: float, bg: float, p
         ab: Scalar product of a and b.
         ag: Of a and the vector g from the start of b to the start of a.
         bg: Of b and g.
-        parallel: Where on a to begin when a and b are parallel, 0 to 1: any point does.
+        parallel: Where to begin on a if a and b are parallel, 0 to 1.
     """
     tiny = 1e-18
     determinant = aa * bb - ab * ab

@@ -1,1 +1,1 @@
-"""Projections: proportions retargeted, the database of poses seen from all around, and its search."""
+"""Projections: retargeting of proportions, the database of poses seen from all sides, and its search."""

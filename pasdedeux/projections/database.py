@@ -1,4 +1,4 @@
-"""The projection database: poses, the yaw steps they are seen at, and the camera that sees them."""
+"""The projection database: poses, the yaws at which they are seen, and the camera."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from pasdedeux.skeletons import OP14
 class DatabaseCamera:
     """A camera on the +Z side of the body that looks at its mid-hip; rays are parallel; image x right, y up, metres.
 
+    Images of a camera that looks elsewhere are turned first (`reconstruction.rays.straighten_rays`).
+
     Args:
-        pitch_rad: Angle above the horizontal that it looks from.
+        pitch_rad: Angle of the camera above the horizontal.
     """
 
     pitch_rad: float = 0.0
@@ -28,7 +30,7 @@ class DatabaseCamera:
     def camera_from_upright_rotmat(self) -> Array:
         """Rotation (3, 3) from upright axes before the camera to the camera's own (x right, y up, z towards it).
 
-        A camera that looks down sees the top of the head come nearer.
+        Before a camera that looks down, the top of the head comes nearer.
         """
         cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
         return np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
@@ -46,17 +48,17 @@ class DatabaseCamera:
 class Database:
     """Poses seen by a camera at every yaw step; projection number = row * num_yaws + yaw index.
 
-    Narrowed to float32: 1e-7 of a metre-sized body, far below any pixel.
+    Poses are stored as float32: an error of 1e-7 of a metre-sized body, far below a pixel.
 
     Args:
         poses_m: Poses (row, 14, 3), reference proportions, mid-hip at the origin, facing +Z, metres; or people who
-            are looked up as one, 14 joints each (see `pairs`).
-        is_sequence_start: (row,), no previous frame of the same motion in the row above.
+            are searched as one, 14 joints each (see `pairs`).
+        is_sequence_start: Whether the row above has no previous frame of the same motion (row,).
         num_yaws: Yaw steps over the full turn (30 steps of 12 degrees in the paper).
         rate_hz: Frames per second of the motions in the database.
-        camera: The camera that sees them.
-        body22_unitquat: Local rotations (row, 22, 4) of the whole bodies from the standing T-pose, where they are
-            known; nothing is searched in them.
+        camera: The camera.
+        body22_unitquat: Local rotations (row, 22, 4) of the whole bodies from the standing T-pose, if known; the
+            search ignores them.
 
     Raises:
         InputError: Shapes do not fit, no row, or a value is not finite.
@@ -126,7 +128,7 @@ class Database:
         return np.where(has_next, rows + 1, rows)
 
     def thinned(self, max_projections: int) -> Database:
-        """Return about as many projections at most, of evenly spaced poses; each starts a motion of its own."""
+        """Return a database of at most about so many projections, of evenly spaced poses; each starts a motion."""
         step = -(-self.num_projections // max_projections)
         if step <= 1:
             return self

@@ -1,8 +1,8 @@
-"""Pairs looked up as one: a row is both people of a frame in their place to each other, a projection is both images.
+"""Search pairs as one: a row holds both people of a frame, a projection both images.
 
-Two people in close contact hide and bend one another, and the pose of one constrains that of the other.  A row
-keeps the place of the two to each other, so a query is both images about the middle of both mid-hips, 28 joints in all,
-by the metric, masks, weights and trees of one person's search.
+Two people in close contact hide and bend each other, and the pose of one constrains that of the other.  A row keeps
+their relative place, so a query consists of both images about the middle of both mid-hips, 28 joints in all, and
+metric, masks, weights and trees are those of the search for one person.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _JOINTS = _PEOPLE * OP14.num_joints
 def centre_pairs(pairs_m: Array) -> Array:
     """Return pairs (*batch, person, 14, 3) on the reference body about the middle of their mid-hips, B on the +X side.
 
-    Each person keeps bone directions and mid-hip; so hands that held each other may part by what their arms' lengths
-    changed.  Where B stands over A and there is no direction from one to the other, A faces +Z.
+    Each person keeps bone directions and mid-hip, so hands that held each other may part by the change of arm lengths.
+    If B is straight above A, so that there is no direction from one to the other, A faces +Z.
 
     Raises:
         InputError: See `retarget_proportions`.
@@ -44,7 +44,7 @@ def centre_pairs(pairs_m: Array) -> Array:
 
 
 def pair_database(pairs_m: npt.NDArray[np.floating], *, camera: DatabaseCamera, num_yaws: int = 30) -> Database:
-    """Return the database of pairs (row, person, 14, 3) as `centre_pairs` gives them: both people are one pose.
+    """Return the database of pairs (row, person, 14, 3) from `centre_pairs`; both people are one pose.
 
     The camera looks at the middle of both mid-hips.
     """
@@ -55,7 +55,7 @@ def pair_database(pairs_m: npt.NDArray[np.floating], *, camera: DatabaseCamera, 
 def search_pairs(
     index: ProjectionIndex, query_m: npt.ArrayLike, weights: npt.ArrayLike, *, num_neighbours: int = 50
 ) -> tuple[Neighbours, Flags]:
-    """Return the nearest pairs, whichever of the people is A: a row may be found each way.
+    """Return the nearest pairs in either order of the people; a row may appear in both.
 
     Args:
         index: Index of a database of pairs.

@@ -1,12 +1,13 @@
-"""The published search: clusters of projections, a query compared with their representatives first.
+"""The published search: projections are clustered, and a query is compared with representatives of clusters first.
 
 Yiannakides et al. (2019, sections 4 and 5) scale all projections, and every query, so that their bounding boxes are
-equally high, place them in few dimensions by multi-dimensional scaling of eq. 1, cluster them by k-means and keep the
-projection nearest to each centroid as its representative.  A query takes the 10 best projections, by eq. 1, of each of
-the 5 clusters whose representatives are nearest to it.  The exact search (`search`) finds what this one may miss.
+equally high.  They embed them in few dimensions by multi-dimensional scaling of eq. 1, cluster them by k-means, and
+keep the projection nearest to each centroid as its representative.  A query takes the 10 best projections, by eq. 1, of
+each of the 5 clusters whose representatives are nearest to it.  The exact search (`search`) finds what this one may
+miss.
 
-Where we differ: the distance matrix of 216,000 projections has 187 GB in float32 (12 hours in the paper), so a
-projection is placed by its distances to landmarks (landmark MDS, de Silva and Tenenbaum 2004).  Joints not seen are
+Differences from the paper: the distance matrix of 216,000 projections has 187 GB in float32 (12 hours in the paper), so
+a projection is embedded by its distances to landmarks (landmark MDS, de Silva and Tenenbaum 2004).  Unseen joints are
 masked, also in the box; the paper assumes that all are seen.
 """
 
@@ -26,20 +27,20 @@ from pasdedeux.projections.retarget import REFERENCE_STATURE_M
 from pasdedeux.projections.search import Neighbours, prepare_query
 
 BOX_HEIGHT_M = REFERENCE_STATURE_M
-"""Height of every image's bounding box; the paper does not say which."""
+"""Height of every image's bounding box; the paper does not state one."""
 _MIN_BOX_M = 0.1
-"""Lower boxes are taken to be this high: a line has no size."""
+"""Smallest height of a box, because a line has no size."""
 _NUM_DIMENSIONS = 4
 """Dimensions of the embedding; the paper found 2 to 5 equally good."""
 _NUM_LANDMARKS = 300
 _FLAT = 1e-6
-"""Axes of a smaller share of the greatest eigenvalue are rounding of float32, and nothing is placed along them."""
+"""Axes with a smaller share of the largest eigenvalue are rounding errors of float32, and are ignored."""
 _KMEANS_STOP = 1e-4
 """k-means ends when the mean distance to the centroids falls by less, sums over joints in metres."""
 _NUM_NEAREST_CLUSTERS = 5
-"""Clusters that a query looks into (section 5)."""
+"""Number of clusters searched for a query (section 5)."""
 _NUM_OF_CLUSTER = 10
-"""Projections that it takes from each (section 5)."""
+"""Number of projections taken from each (section 5)."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ class Clusters:
 
 
 def cluster_projections(database: Database, num_clusters: int, rng: np.random.Generator) -> Clusters:
-    """Return the clusters of a database's projections: as many as asked for, or fewer where that many stay empty.
+    """Return the clusters of a database's projections; those that stay empty are dropped.
 
     Args:
         database: Database of one camera.
-        num_clusters: Clusters (500 in the paper).
+        num_clusters: Number of clusters (500 in the paper).
         rng: Draws the landmarks and the first centroids.
     """
     return cluster_places(place_projections(box_images(database), rng), num_clusters, rng)
@@ -87,7 +88,7 @@ def scale_to_box(images: Floats32) -> Floats32:
 
 
 def place_projections(images: Floats32, rng: np.random.Generator) -> Array:
-    """Return the place (projection, d) of images (projection, J, 2) by landmark MDS of eq. 1."""
+    """Return the embedding (projection, d) of images (projection, J, 2) by landmark MDS of eq. 1."""
     chosen = np.sort(rng.choice(len(images), min(_NUM_LANDMARKS, len(images)), replace=False))
     landmarks = images[chosen]
     squared = _summed_distances(landmarks, landmarks) ** 2
@@ -98,15 +99,15 @@ def place_projections(images: Floats32, rng: np.random.Generator) -> Array:
     lift = vectors / np.sqrt(np.where(values > _FLAT * values[-1], values, np.inf))
     step = 20_000
     parts = (images[start : start + step] for start in range(0, len(images), step))
-    # No BLAS, which rounds a row by the shape of the product.
+    # Not BLAS, whose rounding of a row depends on the shape of the product.
     return np.concatenate(
         [np.einsum("nl,ld->nd", 0.5 * (mean - _summed_distances(p, landmarks) ** 2), lift) for p in parts]
     )
 
 
 def cluster_places(places: Array, num_clusters: int, rng: np.random.Generator) -> Clusters:
-    """Return the clusters of places (projection, d) by k-means from drawn places; those that lose all members go."""
-    from scipy.cluster.vq import kmeans, vq  # here: time that those who do not cluster need not wait for
+    """Return the clusters of embedded projections (projection, d) by k-means from drawn ones; drop empty clusters."""
+    from scipy.cluster.vq import kmeans, vq  # here: planning does not need it
 
     first = np.sort(rng.choice(len(places), min(num_clusters, len(places)), replace=False))
     centroids, _ = kmeans(places, places[first], thresh=_KMEANS_STOP)
@@ -118,10 +119,10 @@ def cluster_places(places: Array, num_clusters: int, rng: np.random.Generator) -
 
 @dataclass(frozen=True)
 class PublishedIndex:
-    """A database made ready for the published search.
+    """A database prepared for the published search.
 
     Raises:
-        InputError: The clusters do not hold each projection of the database once.
+        InputError: The clusters do not contain each projection of the database once.
     """
 
     database: Database

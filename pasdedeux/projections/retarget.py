@@ -1,4 +1,4 @@
-"""Proportions and heading: any op14 pose on the reference body, mid-hip at the origin, facing +Z."""
+"""Normalise op14 poses: proportions of the reference body, mid-hip at the origin, facing +Z."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _LEFT_SHOULDER, _RIGHT_SHOULDER = OP14.index("left_shoulder"), OP14.index("right
 
 @dataclass(frozen=True)
 class CentredPoses:
-    """Poses without place and heading, and what was taken away.
+    """Poses without place and heading, and both of these.
 
     Args:
         poses_m: Positions (*batch, 14, 3), mid-hip at the origin, body facing +Z, metres.
-        heading_rad: Yaw taken away (*batch,), radians.
-        root_translation_m: Mid-hip taken away (*batch, 3), metres.
+        heading_rad: Removed yaw (*batch,).
+        root_translation_m: Removed mid-hip (*batch, 3), metres.
     """
 
     poses_m: Array
@@ -61,7 +61,7 @@ def mid_hip(positions: Array) -> Array:
 def retarget_proportions(positions: Array, lengths_m: Array = REFERENCE_LENGTHS_M) -> Array:
     """Return op14 poses with other bone lengths, bone directions and mid-hip kept.
 
-    Retargeting before projection is decisive: without it a match costs 22-45 cm instead of 9.
+    Retargeting before projection is essential: without it, the distance of a match is 22-45 cm instead of 9.
 
     Args:
         positions: Positions (*batch, 14, 3), metres.
@@ -88,10 +88,10 @@ def retarget_proportions(positions: Array, lengths_m: Array = REFERENCE_LENGTHS_
 
 
 def body_heading(positions: Array) -> Array:
-    """Return the yaw (*batch,) that the body faces, from the lines through hips and shoulders; 0 faces +Z.
+    """Return the yaw (*batch,) of the body, from the lines through hips and shoulders; 0 faces +Z.
 
-    The two lines are added before their angle is taken, so a twisted trunk gives the mean.  A body whose two lines
-    are upright or cancel out has no heading; it gets 0.
+    The two lines are added first, so a twisted trunk gives the mean.  A body whose lines are vertical or cancel out has
+    no heading and gets 0.
     """
     across = (
         positions[..., _LEFT_HIP, :]
@@ -104,7 +104,7 @@ def body_heading(positions: Array) -> Array:
 
 
 def centre_and_face(positions: Array) -> CentredPoses:
-    """Take mid-hip and heading away from op14 positions (*batch, 14, 3)."""
+    """Remove mid-hip and heading from op14 positions (*batch, 14, 3)."""
     root = mid_hip(positions)
     centred = positions - root[..., None, :]
     heading = body_heading(positions)

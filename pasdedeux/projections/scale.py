@@ -1,8 +1,8 @@
-"""Scale and place of a track of 2D keypoints: metres per pixel and the image of the mid-hip, over the joints seen.
+"""Scale and place of a track of 2D keypoints: metres per pixel, and the image of the mid-hip.
 
 Eq. 1 compares images in metres about the mid-hip, so a track needs both.  The paper scales every frame's bounding box
-to one height, which a raised arm or a missing foot changes; here bone lengths of the reference body are used, over a
-track, and then the matched poses themselves.
+to one height, which a raised arm or a missing foot changes.  Here, they follow from bone lengths of the reference body
+over the track, and then from the matched poses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _PATH_ORDER = 2
 
 @dataclass(frozen=True)
 class ScaleReference:
-    """What a database looks like to the scale estimate.
+    """Statistics of a database for the scale estimate.
 
     Args:
         typical_ratio: Median over projections of the upper quartile over bones of image length over bone length.
@@ -41,7 +41,7 @@ class ScaleReference:
 
     @classmethod
     def of(cls, database: Database) -> ScaleReference:
-        """Learn it from up to 2,000 evenly spaced poses of a database."""
+        """Return the statistics of up to 2,000 evenly spaced poses of a database."""
         rows = np.unique(np.linspace(0, database.num_rows - 1, 2000).astype(int))
         sample = Database(
             poses_m=database.poses_m[rows],
@@ -62,8 +62,8 @@ class Placement:
     """Scale and place of every frame of a track.
 
     Args:
-        metres_per_pixel: (frame,); NaN where nothing is known.
-        mid_hip_px: Image of the mid-hip (frame, 2), x right, y up; NaN where nothing is known.
+        metres_per_pixel: (frame,); NaN where unknown.
+        mid_hip_px: Image of the mid-hip (frame, 2), x right, y up; NaN where unknown.
     """
 
     metres_per_pixel: Array
@@ -82,24 +82,24 @@ def place_track(
     window: int = 31,
     metres_per_pixel: float | None = None,
 ) -> Placement:
-    """Return a first scale and place of a track, from bone lengths and from where joints are on average.
+    """Return the initial scale and place of a track, from bone lengths and mean joint positions.
 
-    A bone's image is at most its length, and some bones of a frame show nearly all of it; so the upper quartile over
-    bones of image length over reference length, divided by what that is in the database, gives pixels per metre.  The
-    running median over the track takes the noise and the bends out and follows people who come nearer.
+    The image of a bone is at most as long as the bone, and some bones of a frame show nearly their full length.  So the
+    upper quartile over bones of image length over reference length, divided by the same in the database, gives pixels
+    per metre.  The running median over the track removes noise and follows people who come nearer.
 
     Args:
         keypoints_px: Keypoints (frame, 14, 2), pixels, x right, y up; NaN where not seen.
         weights: Weights (frame, 14); 0 where not seen.
-        reference: What the database looks like.
+        reference: Statistics of the database.
         window: Frames of the running median.
-        metres_per_pixel: The scale where it is known; only the place is then estimated.
+        metres_per_pixel: The scale, if known; then only the place is estimated.
 
     Returns:
-        The placement; frames with fewer than three bones take the scale of the frames about them.
+        The placement; frames with fewer than three bones get the scale of nearby frames.
 
     Raises:
-        InputError: No frame of the track shows three bones, so nothing fixes the size.
+        InputError: No frame of the track shows three bones.
     """
     pixels_per_metre = _upper_ratio(keypoints_px, weights) / reference.typical_ratio
     if not np.isfinite(pixels_per_metre).any():
@@ -128,11 +128,11 @@ def refine_placement(
     previous: Placement,
     metres_per_pixel: float | None = None,
 ) -> Placement:
-    """Return scale and place anew from the projections (frame, 14, 2) matched to a track with the previous ones.
+    """Return refined scale and place, from the projections (frame, 14, 2) that were matched with the previous ones.
 
-    Per frame the least-squares scale about the weighted means of query and match; over the track its running median;
-    then the offset that lays the seen joints on the matched ones.  A frame that matches with less than three joints
-    keeps its neighbours' scale.
+    The scale of a frame is that of least squares about the weighted means of query and match; its running median is
+    taken over the track.  The place then aligns the seen joints with the matched ones.  A frame with fewer than three
+    matched joints gets the scale of nearby frames.
     """
     weight = np.where(weights > 0, weights, 0.0) * np.isfinite(matched_m).all(axis=-1)
     is_usable = (weight > 0).sum(axis=1) >= _MIN_BONES
@@ -156,8 +156,8 @@ def match_scale(points: Array, weight: Array, match: Array) -> Array:
         match: Image of the match (14, 2), metres.
 
     Returns:
-        Metres per pixel, mean of the points, mean of the match (5,); NaN for the scale where fewer than three joints
-        or joints in one place do not determine it.
+        Metres per pixel, mean of the points, mean of the match (5,); the scale is NaN for fewer than three joints, or
+        joints in one place.
     """
     out = np.zeros(5)
     total, count = 0.0, 0
@@ -182,7 +182,7 @@ def match_scale(points: Array, weight: Array, match: Array) -> Array:
 
 
 def _soften(scale: Array, window: int) -> Array:
-    """Round off the steps of a running median (frame,) with a mean over half its window; ends repeat."""
+    """Smooth the steps of a running median (frame,) by a mean over half its window; ends repeat."""
     length = max(1, min(window // 2, len(scale)) | 1)
     padded = np.pad(scale, length // 2, mode="edge")
     return np.convolve(padded, np.full(length, 1.0 / length), mode="valid")
@@ -191,7 +191,7 @@ def _soften(scale: Array, window: int) -> Array:
 def _smooth_path(place: Array, window: int) -> Array:
     """Smooth the path of a mid-hip (frame, 2) over a fifth of the window; NaN stays NaN.
 
-    Where hips are hidden the place is a guess of its own in every frame, and its jumps would be taken for motion.
+    Where hips are hidden, the place is estimated separately in every frame, and its jumps would be taken for motion.
     """
     is_known = np.asarray(np.isfinite(place).all(axis=-1))
     frames = np.arange(len(place))
@@ -206,7 +206,7 @@ def _smooth_path(place: Array, window: int) -> Array:
 
 
 def running_median(values: Array, window: int) -> Array:
-    """Return the median of the finite values (frame,) within half a window of each frame; the nearest where none is.
+    """Return the median of the finite values (frame,) within half a window of each frame, else the nearest value.
 
     Raises:
         InputError: No value is finite.
@@ -232,7 +232,7 @@ def _upper_ratio(points: Array, weights: Array) -> Array:
     is_seen = (weights[..., _CHILD] > 0) & (weights[..., _PARENT] > 0) & np.isfinite(length)
     ratio = np.sort(np.where(is_seen, length / REFERENCE_LENGTHS_M[_CHILD], np.inf), axis=-1)
     count = is_seen.sum(axis=-1)
-    # Linear between order statistics as np.nanquantile, which takes 100 times as long for one short row after another.
+    # Linear between order statistics, as in np.nanquantile, which takes 100 times as long for short rows.
     at = _QUANTILE * np.maximum(count - 1, 0)
     below = np.floor(at).astype(int)
     above = np.minimum(below + 1, np.maximum(count - 1, 0))

@@ -1,11 +1,11 @@
-"""Search of a projection database by the published metric, with joint masks and confidence weights.
+"""Search a projection database by the published metric, with joint masks and confidence weights.
 
 The metric is eq. 1 of Yiannakides et al. 2019, the sum over joints of the 2D joint distances, with a weight per joint
-(confidence; 0 where the joint was not seen) and divided by the sum of the weights, so that queries with different
-joints missing compare.
+(confidence; 0 if the joint was not seen), divided by the sum of the weights, so that queries with different missing
+joints are comparable.
 
-`ProjectionIndex` gives the same answers as looking at every projection, ties included, from a tree of boxes (`tree`,
-where the bound is proven).
+`ProjectionIndex` gives the same results as a search of all projections, including ties, by a tree of boxes (`tree`,
+which proves the bound).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class ProjectionIndex:
         Args:
             query_m: Queries (*batch, J, 2), metres, x right, y up, mid-hip at the origin; NaN where not seen.
             weights: Weights (*batch, J) of the joints, 1 when not given.
-            num_neighbours: Neighbours k wanted.
+            num_neighbours: Number of neighbours k.
 
         Returns:
             Neighbours (*batch, k), ties by projection number; none where no joint was seen.
@@ -101,7 +101,7 @@ class ProjectionIndex:
 
 
 def build_index(database: Database) -> ProjectionIndex:
-    """Return the search tree of a database; building it holds the projections twice."""
+    """Return the search tree of a database; building it needs memory for twice the projections."""
     flat = np.empty((database.num_projections, 2 * database.num_joints), dtype=np.float32)
     step = max(1, 100_000 // database.num_yaws)
     for row in range(0, database.num_rows, step):

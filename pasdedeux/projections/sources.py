@@ -1,4 +1,4 @@
-"""What a database is built from: takes, draws and variants as op14 poses at the database's rate."""
+"""Sources of a database: takes and draws as op14 poses at the database's rate."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import OP14, Skeleton
 
 _NOSE_FORWARD, _NOSE_UP = 0.6, -0.1
-"""The nose from the head (ear height), as parts of the length from neck to head: as in the layout of body22."""
+"""Place of the nose from the head (ear height), in lengths from neck to head, as in the layout of body22."""
 
 
 def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
     """Return op14 positions (*batch, 14, 3) of pair17 or body22 positions (*batch, J, 3), metres.
 
-    The neck of op14 is the middle of the shoulders and its head the nose, which detectors give.  Neither skeleton has a
-    nose, so it is put before the head where the shoulders face.
+    The neck of op14 is the middle of the shoulders and its head is the nose, as detectors give them.  Neither skeleton
+    has a nose, so it is placed in front of the head, in the direction that the shoulders face.
     """
 
     def of(name: str) -> Array:
@@ -34,9 +34,9 @@ def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
 
 
 def resample_positions(positions: Array, *, from_hz: float, to_hz: float, start_s: float = 0.0) -> Array:
-    """Return positions (frame, *batch, 3) at another rate, linearly between frames, from a time on.
+    """Return positions (frame, *batch, 3) at another rate from a time on, interpolated linearly between frames.
 
-    Bones shrink a little between frames that turn; proportions are retargeted afterwards, which puts that right.
+    Bones shrink a little between frames that turn; retargeting proportions afterwards corrects that.
     """
     if (from_hz == to_hz and not start_s) or len(positions) < 2:
         return np.array(positions, dtype=np.float64)

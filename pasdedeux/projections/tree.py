@@ -1,4 +1,4 @@
-"""A tree of boxes over points that are images of joints: the points nearest to a query, ties included.
+"""A tree of boxes over images of joints, for the images nearest to a query, including ties.
 
 **Bound.**  Every node of the tree keeps, per joint k, the box [cx - hx, cx + hx] x [cy - hy, cy + hy] that holds joint
 k of every projection below the node.  For a query q and a projection p below the node, |qx - px| >=
@@ -6,11 +6,10 @@ max(|qx - cx| - hx, 0) because px lies in an interval of half-width hx about cx,
 
     sum_k w_k |q_k - p_k|  >=  sum_k w_k sqrt(max(|qx - cx| - hx, 0)^2 + max(|qy - cy| - hy, 0)^2)
 
-for all w_k >= 0.  Nothing is assumed of the camera: the boxes are taken from the projections themselves, so the bound
-holds for level and pitched cameras alike.  (For a level camera and the node "all yaws of
-a frame" the box is [-r, r] x [y, y], which is the bound sqrt(max(|qx| - r, 0)^2 + dy^2) of one frame; splitting by
-median where the projections spread most, across frames and yaws alike, gives far smaller boxes.)  Boxes are widened
-and the bound is lowered by more than float32 rounding can raise it, so pruning never loses a neighbour.
+for all w_k >= 0.  The boxes are taken from the projections, so the bound holds for any pitch of the camera.  Median
+splits where projections spread most, across frames and yaws alike, give far smaller boxes than one for all yaws of a
+frame.  Boxes are widened and the bound is lowered by more than float32 rounding can raise it, so pruning never loses a
+neighbour.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from pasdedeux.arrays import Floats32, Integers
 from pasdedeux.compiled import compiled, inner_kernel
 
 _LANES = 16
-"""Projections a leaf and children a node: wide enough for the processor's vector unit."""
+"""Projections per leaf and children per node, to fill the processor's vector unit."""
 _ROUNDING = np.float32(1.0 - 1e-5)
 """Factor on the bound: 28 float32 operations of relative error 6e-8 each stay below 1e-5."""
 
@@ -33,11 +32,11 @@ Integers32 = npt.NDArray[np.int32]
 
 
 class SearchTree(NamedTuple):
-    """A tree of boxes; 16 projections of J joints a leaf, 16 children a node.
+    """A tree of boxes; 16 projections of J joints per leaf, 16 children per node.
 
     Args:
         number: Number of the projection in each lane of each leaf (leaf, lane); -1 for none.
-        leaves: Projections (leaf, 2 J, lane): x of the joints, then y; any in empty lanes.
+        leaves: Projections (leaf, 2 J, lane): x of the joints, then y; any values in empty lanes.
         centre: Middle of the boxes of the nodes under each node (node, 2 J, lane), all levels, root first.
         half: Their half-widths; -1 in empty lanes.
         level_start: First node of each level; child j of node i of level l is node lanes * i + j of level l + 1.
@@ -85,14 +84,14 @@ class _TreeLevel(NamedTuple):
 
 
 def _boxes_above(low: Floats32, high: Floats32) -> _TreeLevel:
-    """Return the level above boxes (n, 2 J); the lanes of its last node that are too many are those of the last box."""
+    """Return the level above boxes (n, 2 J); empty lanes of its last node repeat the last box."""
     missing = -len(low) % _LANES
     low, high = (
         np.concatenate([one, np.repeat(one[-1:], missing, axis=0)]).reshape(-1, _LANES, one.shape[1]).swapaxes(1, 2)
         for one in (low, high)
     )
     middle = np.float32(0.5) * (low + high)
-    # One part in a million more than the rounded half-width: the box still holds both ends.
+    # Add one part in a million to the rounded half-width, so that the box contains both ends.
     half = np.maximum(high - middle, middle - low) + np.float32(1e-6) * (np.abs(low) + np.abs(high))
     half[-1, :, _LANES - missing :] = -1.0
     return _TreeLevel(np.ascontiguousarray(middle), np.ascontiguousarray(half), low.min(axis=2), high.max(axis=2))
@@ -156,7 +155,7 @@ def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32) -> None:
 
 @inner_kernel()
 def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32, out: Floats32) -> None:
-    """Return the least weighted distance sums that the boxes of a node's children allow."""
+    """Write lower bounds on the weighted distance sums within the boxes of a node's children."""
     joints, lanes = weight.shape[0], centre.shape[1]
     zero = np.float32(0.0)
     for lane in range(lanes):
@@ -171,7 +170,7 @@ def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32,
 
 @compiled()
 def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32) -> None:
-    """Return the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
+    """Write the weighted distance sums of the projections of a leaf, joint by joint as in the plain form."""
     joints, lanes = weight.shape[0], leaf.shape[1]
     for lane in range(lanes):
         out[lane] = np.float32(0.0)
@@ -185,7 +184,7 @@ def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32)
 
 @compiled()
 def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> None:
-    """Insert a projection into a sorted list of the best, ties by number; drops the last."""
+    """Insert a projection into the sorted list of the best, ties by number; drop the last."""
     at = summed.shape[0] - 1
     if value > summed[at] or (value == summed[at] and found[at] >= 0 and number > found[at]):
         return

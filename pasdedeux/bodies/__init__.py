@@ -1,4 +1,4 @@
-"""Skinned bodies: one watertight mesh round a skeleton, made from the radii of its capsules."""
+"""Skinned bodies: a watertight mesh around a skeleton, made from the radii of its capsules."""
 
 from pasdedeux.bodies.body import Body, body_of, standing_motion, standing_rest_m
 

@@ -19,7 +19,7 @@ from pasdedeux.skeletons import Skeleton
 
 @dataclass(frozen=True)
 class Body:
-    """A watertight mesh in a rest pose, of which each vertex moves with up to four joints.
+    """A watertight mesh in a rest pose; each vertex moves with up to four joints.
 
     Args:
         rest_m: Joints in the rest pose (J, 3), metres.
@@ -40,7 +40,7 @@ class Body:
 
         Args:
             world_unitquat: Rotation of each joint from the rest pose (J, 4).
-            positions_m: Where the joints are (J, 3), metres.
+            positions_m: Positions of the joints (J, 3), metres.
         """
         turns = rotmat_from_unitquat(world_unitquat)
         shifts = positions_m - np.einsum("jab,jb->ja", turns, self.rest_m)
@@ -55,7 +55,7 @@ class Body:
         return forward_kinematics(skeleton, offsets, positions_m[..., skeleton.root, :], local)[1]
 
     def strongest(self) -> tuple[Integers, Array]:
-        """Return the joints that each vertex moves with (n, 4), strongest first, and how much (n, 4); rows sum to 1."""
+        """Return the joints of each vertex (n, 4), strongest first, and their weights (n, 4); rows sum to 1."""
         joints = np.argsort(-self.weights, axis=1, kind="stable")[:, :4]
         weights = np.take_along_axis(self.weights, joints, axis=1)
         return np.where(weights > 0.0, joints, 0), weights
@@ -70,13 +70,13 @@ class Body:
 def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, *, num_vertices: int = NUM_VERTICES) -> Body:
     """Return the body of a working skeleton in its rest pose.
 
-    Its surface lies within 1 cm of the capsules, but for head, hands, heels and flanks, which lie outside.
+    Its surface lies within 1 cm of the capsules, except head, hands, heels and flanks, which lie outside.
 
     Args:
-        skeleton: pair17, op14 or body22; of joints with other names the capsules alone are covered.
-        rest_m: Where they are in the rest pose (J, 3), metres.
-        radii_m: Radius of the capsule round the bone that ends in each joint (J,), metres; 0 where there is none.
-        num_vertices: About as many vertices has it.
+        skeleton: pair17, op14 or body22; for joints with other names, only the capsules are covered.
+        rest_m: Positions of the joints in the rest pose (J, 3), metres.
+        radii_m: Radius of the capsule around the bone that ends in each joint (J,), metres; 0 for none.
+        num_vertices: Approximate number of vertices.
     """
     cones = cones_of(skeleton, np.asarray(rest_m, dtype=np.float64), radii_m)
     vertices, faces, normals = mesh_of(cones, num_vertices)
@@ -84,7 +84,7 @@ def body_of(skeleton: Skeleton, rest_m: Array, radii_m: Array, *, num_vertices: 
 
 
 def standing_rest_m(skeleton: Skeleton, positions_m: Array) -> Array:
-    """Return a T-pose (J, 3), metres, with the median bone lengths of positions (frame, J, 3); its root is at 0.
+    """Return a T-pose (J, 3), metres, with the median bone lengths of positions (frame, J, 3), root at 0.
 
     Args:
         skeleton: pair17, op14 or body22.

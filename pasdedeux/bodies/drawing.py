@@ -1,4 +1,4 @@
-"""Bodies on an image: shaded triangles, the farthest first."""
+"""Draw bodies on an image: shaded triangles, the farthest first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 
 _LIGHT, _DARK = np.array([-0.36, 0.72, 0.6]), 0.35
-"""Direction of the light (right, up, towards the viewer), and the brightness of what it does not reach."""
+"""Direction of the light (right, up, towards the viewer), and the brightness of shadows."""
 
 
 def draw_faces(image: Any, corners_m: Array, colours: Array, to_px: Callable[[Array], Array]) -> None:
@@ -21,7 +21,7 @@ def draw_faces(image: Any, corners_m: Array, colours: Array, to_px: Callable[[Ar
         corners_m: Corners of each triangle (n, 3, 3), metres: x right, y up, z towards the viewer; counterclockwise
             from outside.
         colours: Colour of each triangle in full light (n, 3), 0 to 255, in the order of the image's channels.
-        to_px: Returns where points (*batch, 3) are in the image (*batch, 2): x right, y down.
+        to_px: Projects points (*batch, 3) to the image (*batch, 2): x right, y down.
     """
     import cv2  # here: a quarter of a second that others need not wait for
 

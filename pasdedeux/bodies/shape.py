@@ -1,7 +1,7 @@
-"""The shape of a body: round cones along its bones, and those of head, hands, heels and flanks, which lie outside.
+"""The shape of a body: round cones along its bones, and cones of head, hands, heels and flanks outside them.
 
-Limbs taper to either side of their capsules by less than a centimetre.  Lengths of head, hands and heels are shares of
-the bone that ends there, those of the flanks of the trunk's radius: children and giants keep their proportions.
+Tapered limbs differ from their capsules by less than a centimetre.  Sizes of head, hands and heels are proportional to
+the bone that ends there, those of flanks to the radius of the trunk, so that bodies of any size keep their proportions.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _TAPERS: Mapping[str, tuple[float, float]] = {
     "elbow": (1.12, 0.88),
     "wrist": (1.15, 0.8),
 }
-"""Radii at the start and the end of the bone that ends in a joint, in radii of its capsule; (1, 1) of the others."""
+"""Radii at the start and the end of the bone that ends in a joint, in radii of its capsule; (1, 1) for the others."""
 _THINNER_M, _THICKER_M = 0.009, 0.003
-"""A capsule loses and gains this much at most."""
+"""Largest decrease and increase of a capsule's radius."""
 _FLANKS: Mapping[str, tuple[float, float]] = {
     "pelvis": (0.5, 0.9),
     "spine": (0.4, 0.85),
@@ -40,7 +40,7 @@ _FLANKS: Mapping[str, tuple[float, float]] = {
     "chest": (0.75, 0.8),
     "neck": (0.3, 0.55),
 }
-"""Flanks, beside the bones of the trunk: how far to the sides of a joint, and their radii, in radii of the trunk."""
+"""Flanks, beside the bones of the trunk: offsets to the sides of a joint, and radii, in radii of the trunk."""
 _HEAD = ((0.0, 0.45, 0.02, 0.62), (0.0, 0.75, -0.05, 0.62)), ((0.0, 0.1, 0.25, 0.42), (0.0, 0.35, 0.3, 0.45))
 """Skull and jaw: two ends each, left, up and forward of the head joint, and their radii, in lengths of neck to head."""
 _HAND = (
@@ -63,8 +63,8 @@ class Cones:
     Args:
         ends_m: Ends (cone, 2, 3) in the rest pose, metres.
         radii_m: Radii at the ends (cone, 2), metres.
-        joints: Joint that each moves with (cone,).
-        is_beside: Which of them meet in a joint, each with itself as well (cone, cone).
+        joints: Joint with which each moves (cone,).
+        is_beside: Whether two of them meet in a joint (cone, cone); each meets itself.
     """
 
     ends_m: Array
@@ -78,8 +78,8 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
 
     Args:
         skeleton: Its joints.
-        rest_m: Where they are in the rest pose (J, 3), metres.
-        radii_m: Radius of the capsule round the bone that ends in each joint (J,), metres; 0 where there is none.
+        rest_m: Positions of the joints in the rest pose (J, 3), metres.
+        radii_m: Radius of the capsule around the bone that ends in each joint (J,), metres; 0 for none.
     """
     names = skeleton.joint_names
     axes = _axes(rest_m, {name: joint for joint, name in enumerate(names)})
@@ -112,12 +112,12 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
 
 @lru_cache(maxsize=8)
 def _beside(meets: tuple[frozenset[int], ...]) -> Flags:
-    """Return which cones meet in a joint (cone, cone); bodies on one skeleton have the same ones."""
+    """Tell which cones meet in a joint (cone, cone); cached, because bodies on one skeleton share it."""
     return np.array([[bool(meet & other) for other in meets] for meet in meets]).reshape(len(meets), -1)
 
 
 def _outside(rest_m: Array, parent: int, child: int, name: str, axes: Array) -> tuple[int, Array, Any]:
-    """Return what lies outside the capsules at the end of a bone: its joint, its axes (3, 3) and its parts."""
+    """Return the parts outside the capsules at the end of a bone: their joint, axes (3, 3) and cones."""
     kind = name.rpartition("_")[2]
     if kind == "head":
         return child, axes, _HEAD
@@ -132,7 +132,7 @@ def _outside(rest_m: Array, parent: int, child: int, name: str, axes: Array) -> 
 
 
 def _axes(rest_m: Array, joints: Mapping[str, int]) -> Array | None:
-    """Return left, up and forward of a body in its rest pose (3, 3); None where its joints do not tell."""
+    """Return left, up and forward of a body in its rest pose (3, 3); None if its joints do not determine them."""
     sides = [(joints[name], joints[f"right_{name[5:]}"]) for name in joints if name.startswith("left_")]
     middle = [joints[name] for name in ("head", "neck") if name in joints]
     hips = [joints[name] for name in ("left_hip", "right_hip") if name in joints]

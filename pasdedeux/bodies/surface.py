@@ -1,4 +1,4 @@
-"""The surface of round cones: a smooth union, its mesh, and how much of each vertex moves with each joint."""
+"""The surface of round cones: a smooth union, its mesh, and the weights of joints at vertices."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from pasdedeux.bodies.shape import Cones
 from pasdedeux.compiled import compiled, inner_kernel
 
 _SMOOTH_M = 0.006
-"""Width of the smooth union; where two cones are equally near, the surface is ln 2 times this farther out."""
+"""Width of the smooth union; at equal distance from two cones, the surface is ln 2 times this farther out."""
 _BLENDS = 8.0
-"""A cone farther away than the nearest by so many widths does not count: exp(-8) of a width is 2 micrometres."""
+"""Cones farther than the nearest by so many widths are ignored: exp(-8) of a width is 2 micrometres."""
 _ROUNDED_M = 1e-12
-"""Bounds leave so much for rounding."""
+"""Margin of bounds for rounding."""
 NUM_VERTICES = 4000
-"""About as many vertices has a body by default."""
+"""Approximate number of vertices of a body, by default."""
 _VERTICES_PER_SQUARE = 1.15
-"""Vertices that marching cubes makes for an area of one voxel's side, with overlaps of the cones taken off."""
+"""Vertices from marching cubes per area of a voxel's side, including the effect of overlapping cones."""
 _MOST_VOXELS = 300
-"""A body is at most so many voxels long: a joint that lies far off must not fill the memory."""
+"""Largest length of a body in voxels: a joint far away must not fill the memory."""
 _STEPS, _STEP_M = 2, 1e-4
-"""Newton's steps of each vertex onto the surface, and the step of differences."""
+"""Number of Newton steps of each vertex onto the surface, and the step of finite differences."""
 _NEAR = 2.0
 """Voxels within so many sides of the surface are computed: an edge that crosses it has both ends within one side, and
-what is known of a voxel before is off by 0.87 sides at most."""
+the coarse values are wrong by at most 0.87 sides."""
 _SOFT = 0.8
 """Width of the change from one bone to the next, in radii."""
 _MAX_JOINTS, _LEAST = 4, 0.01
-"""A vertex moves with so many joints, with each by no less than this."""
+"""Largest number of joints of a vertex, and smallest weight of each."""
 
 
 def _packed(cones: Cones) -> Array:
-    """Return cones as kernels read them (cone, 15).
+    """Return cones packed for kernels (cone, 15).
 
-    Start, unit axis, length, both radii, sine and cosine of the side's slope; middle and radius of a ball round it.
+    Start, unit axis, length, both radii, sine and cosine of the side's slope; middle and radius of a ball around it.
     """
     along = cones.ends_m[:, 1] - cones.ends_m[:, 0]
     lengths = np.linalg.norm(along, axis=-1)
@@ -67,14 +67,14 @@ def _distance(x: float, y: float, z: float, cones: Array, cone: int) -> float:
 
 @inner_kernel()
 def _scan(x: float, y: float, z: float, cones: Array, width: float, near: Array, active: Integers) -> int:
-    """Write which cones count at a point, and their distances; return how many.
+    """Write the cones that count at a point, and their distances; return their number.
 
-    The first of `active` is a guess: one that counts nearby, so that most others are told by their balls alone.
+    The first of `active` should be a cone that counts nearby, so that most others are excluded by their balls alone.
     """
     least = _distance(x, y, z, cones, active[0])
     for cone in range(len(cones)):
         dx, dy, dz = x - cones[cone, 11], y - cones[cone, 12], z - cones[cone, 13]
-        bound = least + _BLENDS * width + cones[cone, 14]  # outside its ball a cone is too far to count
+        bound = least + _BLENDS * width + cones[cone, 14]  # outside its ball, a cone is too far away to count
         near[cone] = math.inf
         if bound > 0.0 and dx * dx + dy * dy + dz * dz < bound * bound:
             near[cone] = _distance(x, y, z, cones, cone)
@@ -89,7 +89,7 @@ def _scan(x: float, y: float, z: float, cones: Array, width: float, near: Array,
 
 @inner_kernel()
 def _blend(count: int, active: Integers, near: Array, power: Array, is_beside: Flags, width: float) -> float:
-    """Return the smooth union of the cones that count at a point; `power` (cone,) is room for what they share."""
+    """Return the smooth union of the cones that count at a point; `power` (cone,) is scratch memory."""
     least = near[active[0]]
     for at in range(1, count):
         least = min(least, near[active[at]])
@@ -121,10 +121,10 @@ def surface_field(points: Array, cones: Array, is_beside: Flags, width: float, f
     Args:
         points: Metres.
         cones: As `_packed` (cone, 15), metres.
-        is_beside: Which of them blend (cone, cone).
-        width: Of the blend, metres.
-        far: Points farther from the surface than this may have the value of the point before, if that is as far and on
-            the same side: no value changes by more than the way between two points.
+        is_beside: Whether two of them blend (cone, cone).
+        width: Width of the blend, metres.
+        far: Points farther from the surface than this may get the value of the point before, if that is as far on the
+            same side: values change by no more than the distance between two points.
     """
     values, spare = np.empty(len(points)), 0.0
     near, power, active = np.empty(len(cones)), np.empty(len(cones)), np.zeros(len(cones), dtype=np.int64)
@@ -143,14 +143,14 @@ def surface_field(points: Array, cones: Array, is_beside: Flags, width: float, f
 
 @compiled()
 def carry_onto(points: Array, cones: Array, is_beside: Flags, width: float, step: float) -> Array:
-    """Carry points (n, 3) onto the surface of `surface_field`, in place, and return its unit normals there (n, 3).
+    """Move points (n, 3) onto the surface of `surface_field`, in place; return its unit normals there (n, 3).
 
     Args:
         points: Metres, near the surface.
         cones: As `_packed` (cone, 15), metres.
-        is_beside: Which of them blend (cone, cone).
-        width: Of the blend, metres.
-        step: Greatest length of a step of Newton's, metres.
+        is_beside: Whether two of them blend (cone, cone).
+        width: Width of the blend, metres.
+        step: Largest length of a Newton step, metres.
     """
     normals, slope = np.empty(points.shape), np.empty(3)
     near, power, active = np.empty(len(cones)), np.empty(len(cones)), np.zeros(len(cones), dtype=np.int64)
@@ -180,15 +180,15 @@ def carry_onto(points: Array, cones: Array, is_beside: Flags, width: float, step
 def _weigh(
     points: Array, cones: Array, is_beside: Flags, joints: Integers, least: Array, width: Array, num_joints: int
 ) -> Array:
-    """Return how much of each point (n, 3) the cones give to each joint (n, J); what is under `_LEAST` is nothing.
+    """Return the unnormalised weights of joints (n, J) at points (n, 3); weights below `_LEAST` are 0.
 
     Args:
         points: Metres.
         cones: As `_packed` (cone, 15), metres.
-        is_beside: Which of them meet (cone, cone).
+        is_beside: Whether two of them meet (cone, cone).
         joints: Joint of each (cone,).
-        least: Distances below this count as this (cone,), metres.
-        width: Of the change from one cone to the next, by the nearest (cone,), metres.
+        least: Smallest distance; smaller ones are raised to it (cone,), metres.
+        width: Width of the change to the next cone, for each nearest cone (cone,), metres.
         num_joints: J.
     """
     weights = np.zeros((len(points), num_joints))
@@ -197,7 +197,7 @@ def _weigh(
         nearest, nearest_m = 0, math.inf
         for cone in range(len(cones)):
             dx, dy, dz = x - cones[cone, 11], y - cones[cone, 12], z - cones[cone, 13]
-            bound = nearest_m + cones[cone, 14] + _ROUNDED_M  # outside its ball a cone is farther than the nearest
+            bound = nearest_m + cones[cone, 14] + _ROUNDED_M  # outside its ball, a cone is farther than the nearest
             if bound > 0.0 and dx * dx + dy * dy + dz * dz < bound * bound:
                 away = max(_distance(x, y, z, cones, cone), least[cone])
                 if away < nearest_m:
@@ -217,7 +217,7 @@ def mesh_of(cones: Cones, num_vertices: int = NUM_VERTICES) -> tuple[Array, Inte
 
     Marching cubes (Lewiner et al. 2003) on voxels near the surface; each vertex is then carried onto it.
     """
-    from skimage.measure import marching_cubes  # here: it takes a while, and few need it
+    from skimage.measure import marching_cubes  # here: planning does not need it
 
     shape = (_packed(cones), cones.is_beside, _SMOOTH_M)
     lengths, widest = np.linalg.norm(cones.ends_m[:, 1] - cones.ends_m[:, 0], axis=-1), cones.radii_m.max(axis=-1)
@@ -241,10 +241,10 @@ def mesh_of(cones: Cones, num_vertices: int = NUM_VERTICES) -> tuple[Array, Inte
 
 
 def joint_weights(points: Array, cones: Cones, num_joints: int) -> Array:
-    """Return how much of each point (n, 3) moves with each joint (n, J); at most four joints, summing to 1.
+    """Return the weights of joints (n, J) at points (n, 3): at most four joints each, summing to 1.
 
-    The weight of a cone falls as a Gaussian of its distance beyond that of the nearest; only cones that meet the
-    nearest take part, so that an arm beside the body does not move the trunk.
+    The weight of a cone is a Gaussian of its distance beyond that of the nearest cone.  Only cones that meet the
+    nearest count, so that an arm beside the body does not move the trunk.
     """
     least, width = -0.5 * cones.radii_m.min(axis=-1), _SOFT * cones.radii_m.mean(axis=-1)
     weights = _weigh(points, _packed(cones), cones.is_beside, cones.joints, least, width, num_joints)

@@ -1,1 +1,1 @@
-"""What draws are good for: lifting annotations by retrieval, completing occluded joints, in-betweens, and baselines."""
+"""Applications of draws: lifting annotations by retrieval, completing occluded joints, in-betweens, and baselines."""

@@ -1,6 +1,6 @@
-"""Baselines of lifting by sampling: lifting + IK, and naive sampling round it (Yin et al. 2018, Fig. 10).
+"""Baselines of lifting by sampling: lifting + IK, and naive sampling around it (Yin et al. 2018, Fig. 10).
 
-Both know one image, joint limits and bodies that do not pass through each other; neither knows how people interact.
+Both use one image, joint limits and the rule that bodies do not overlap; neither knows how people interact.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _NUM_ROUNDS = 5
 _IMAGE_DEVIATION_M, _VALID_DEVIATION_M, _DEPTH_DEVIATION_M = 0.01, 0.02, 0.3
 _SLIDES_M = np.linspace(-0.6, 0.6, 61)
 _TOUCHING_M = 0.01
-"""Summed penetration that counts as none, metres: captured bodies touch."""
+"""Largest summed penetration that counts as none, metres, because captured bodies touch."""
 _ROTATION_RAD, _POSITION_M = 0.15, 0.03
-"""Deviations of naive samples: of a bone's turn, and of a root."""
+"""Standard deviations of naive samples: of a bone's turn, and of a root."""
 
 
 def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLimits) -> Array:
@@ -34,8 +34,8 @@ def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLim
         limits: Joint limits.
 
     E_2D is the squared distance of the seen joints from the image, E_isvalid that of all joints from the closest valid
-    pose; the closest valid pose is found anew between fits.  Then one person slides along the line of sight, as little
-    as it takes, until the two do not pass through each other.
+    pose, which is updated between fits.  Then one person slides along the line of sight, as little as possible, until
+    the two do not overlap.
     """
     pair = np.asarray(pair_m, dtype=np.float64)
     image_weight, valid_weight = _IMAGE_DEVIATION_M**-2, _VALID_DEVIATION_M**-2
@@ -53,9 +53,9 @@ def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLim
 
 
 def resolve_penetration(pair_m: Array) -> Array:
-    """Slide person B along z, as little as it takes, until a pair (person=2, joint=17, 3), metres, does not penetrate.
+    """Slide person B along z, as little as possible, until the people of a pair (2, 17, 3), metres, do not overlap.
 
-    Where no slide up to 0.6 m is enough the one with the least penetration is taken.
+    If no slide up to 0.6 m is enough, take the slide with the least penetration.
     """
     model = capsule_model(PAIR17)
     slid = np.repeat(pair_m[None], len(_SLIDES_M), axis=0)
@@ -69,17 +69,17 @@ def resolve_penetration(pair_m: Array) -> Array:
 def sample_naively(
     rng: np.random.Generator, image_m: Array, pair_m: Array, limits: JointLimits, *, num_samples: int
 ) -> Array:
-    """Sample pairs round a pair and return the nearest to the image (person=2, joint=17, 3), metres, camera axes.
+    """Sample pairs around a pair; return the nearest to the image (person=2, joint=17, 3), metres, camera axes.
 
-    Bone lengths are kept exactly.  Samples are drawn with probability in proportion to exp(-v / (2 sigma_p^2)), v the
-    violation of eq. 2 (distance to valid poses and penetration), from twice as many normal perturbations.
+    Bone lengths are kept exactly.  Samples are drawn from twice as many normal perturbations, with probability in
+    proportion to exp(-v / (2 sigma_p^2)), v the violation of eq. 2 (distance to valid poses and penetration).
 
     Args:
         rng: Random generator.
         image_m: Image points (2, 17, 2), metres; NaN where not seen.
         pair_m: Pair in camera axes, over the image.
         limits: Joint limits.
-        num_samples: Samples in the database (Yin et al. 2018: 1,000).
+        num_samples: Number of samples (Yin et al. 2018: 1,000).
     """
     chart = PairChart(pair_m)
     start = chart.seed_parameters()

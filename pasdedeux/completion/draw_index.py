@@ -1,8 +1,8 @@
-"""An index over draws: which of many pairs look most like an annotation, seen from the annotation's own view.
+"""An index over draws: find the pairs that look most like an annotation, seen from the annotation's view.
 
-The distance is that of the image under the view after the best turn in the plane, over the joints that are seen.  Over
-fewer joints it is never greater, so a few far-apart joints rule nearly every draw out; what is left is measured in
-full.  The answer is the exact one, ties aside.
+The distance is that of the image under the view, after the best turn in the plane, over the seen joints.  Over fewer
+joints it is never larger, so a few far-apart joints exclude nearly every draw; the rest is measured in full.  The
+result is exact, except for ties.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 
 MIN_SEEN = 4
-"""Joints of both people together that must be seen for a comparison to mean anything."""
+"""Smallest number of seen joints of both people together for a comparison."""
 _NUM_JOINTS = 2 * PAIR17.num_joints
 _FAR_APART = ("left_wrist", "right_ankle", "head", "right_wrist", "left_ankle", "pelvis", "left_elbow")
 _FIRST = [person * PAIR17.num_joints + PAIR17.index(name) for name in _FAR_APART for person in range(2)]
 _ORDER = np.array(sorted(range(_NUM_JOINTS), key=lambda joint: (*_FIRST, joint).index(joint)), dtype=np.int64)
-"""Joints of both people (34,) in the order of comparison: those that move farthest apart come first."""
+"""Joints of both people (34,) in the order of comparison: those that are farthest apart come first."""
 _SLACK_M2 = 1e-4
-"""What single precision may be wrong by in a sum of squares over 34 joints, with a wide margin."""
+"""Error bound of single precision in a sum of squares over 34 joints, with a wide margin."""
 _BATCH = 32_768
 
 
@@ -49,7 +49,7 @@ class NearestDraws:
 
 
 class DrawIndex:
-    """Draws kept for retrieval by image, in single precision; 820 bytes a draw.
+    """Draws stored for retrieval by image, in single precision; 820 bytes per draw.
 
     Args:
         pairs_m: Draws (draw, person=2, joint=17, 3), metres, at least one, all finite.
@@ -64,7 +64,7 @@ class DrawIndex:
         self.num_draws = len(pairs_m)
         num_blocks = -(-self.num_draws // LANES)
         self._points = np.zeros((num_blocks, _NUM_JOINTS, 3, LANES), dtype=np.float32)
-        # Once more, draw by draw: what is measured in full is scattered over all of them.
+        # A second copy, draw by draw, because draws measured in full are scattered.
         self._rows = np.empty((self.num_draws, _NUM_JOINTS, 3), dtype=np.float32)
         self._tilt = np.zeros((num_blocks, 2, LANES), dtype=np.float32)
         for start in range(0, self.num_draws, _BATCH):
@@ -78,12 +78,12 @@ class DrawIndex:
             raise InputError("an index needs draws with finite coordinates")
 
     def nearest(self, image_m: Array, directions: Array, *, count: int = 1) -> NearestDraws:
-        """Return the draws nearest to an image under any of some views; a draw comes once, under its best view.
+        """Return the draws nearest to an image under any of several views; each draw appears once, under its best view.
 
         Args:
             image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
             directions: Views in the pair's local frame, (view, 3).
-            count: Draws wanted; fewer come back when there are fewer.
+            count: Number of draws, fewer if there are fewer.
 
         Raises:
             InputError: No view, or fewer than 4 joints seen.
@@ -102,7 +102,7 @@ class DrawIndex:
             fill_residuals(self._points, self._tilt, direction.astype(np.float32), centred, few, coarse[view])
         flat = coarse.reshape(len(views), -1)[:, : self.num_draws]
         bound = flat.min(axis=0) if len(views) > 1 else flat[0]
-        # The draws that a few joints find nearest give a level that the true answers cannot exceed.
+        # The draws that are nearest by a few joints give an upper bound on the distances of the results.
         tried = np.argpartition(bound, min(4 * count, self.num_draws - 1))[: 4 * count]
         level = np.partition(self._measured(tried, views, image, joints).min(axis=1), count - 1)[count - 1] + _SLACK_M2
         left = np.flatnonzero(bound <= level)
@@ -116,21 +116,21 @@ class DrawIndex:
         )
 
     def placed(self, draws: Integers, directions: Array, image_m: Array) -> Array:
-        """Return draws as a camera with the image saw them, (n, person=2, joint=17, 3), metres.
+        """Return draws in axes of the camera of the image, (n, person=2, joint=17, 3), metres.
 
         Args:
-            draws: Which draws, (n,).
+            draws: Indices of the draws, (n,).
             directions: View of each, (n, 3).
             image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
 
         Returns:
-            Camera axes: x right, y up, z towards the camera.  Over the joints seen the image is the best rigid fit in
-            the plane and the mean depth is 0.
+            Camera axes: x right, y up, z towards the camera.  Over the seen joints, the draw is the best rigid fit to
+            the image in the plane, and the mean depth is 0.
         """
         return self._seen_as(self._rows[draws].astype(np.float64), self._tilts(draws), directions, image_m)
 
     def placed_mean(self, direction: Array, image_m: Array) -> Array:
-        """Return mean of all draws, in their local frames, as a camera with the image saw it, (2, 17, 3), metres."""
+        """Return the mean of all draws in their local frames, in axes of the image's camera, (2, 17, 3), metres."""
         points, tilt = self._mean
         return np.asarray(self._seen_as(points[None], tilt[None], direction[None], image_m)[0])
 
@@ -161,7 +161,7 @@ class DrawIndex:
         return out.reshape(len(points), 2, PAIR17.num_joints, 3)
 
     def _seen(self, image_m: Array) -> tuple[Integers, Array]:
-        """Return the joints seen, by their place in the index, and their centred image points."""
+        """Return the seen joints, by their place in the index, and their centred image points."""
         points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER]
         joints = np.flatnonzero(np.isfinite(points).all(axis=1))
         if len(joints) < MIN_SEEN:
@@ -172,7 +172,7 @@ class DrawIndex:
     def _measured(
         self, draws: Integers, views: Array, image: Array, joints: Integers, *, ceiling_m2: float = np.inf
     ) -> Array:
-        """Return squared distances (draw, view) in double precision; inf where a draw is surely beyond a ceiling."""
+        """Return squared distances (draw, view) in double precision; inf for draws known to be beyond a ceiling."""
         tilt = self._tilts(draws)
         squared = np.empty((len(draws), len(views)))
         for view, direction in enumerate(views):
@@ -184,7 +184,7 @@ class DrawIndex:
 
 
 def _towards(tilt: Array, direction: Array) -> Array:
-    """Return unit directions (n, 3) towards the camera, in the frames of draws with these tilts (n, 2), of a view."""
+    """Return the unit directions (n, 3) of a view towards the camera, in the frames of draws with tilts (n, 2)."""
     a, b, c = np.moveaxis(np.asarray(direction, dtype=np.float64), -1, 0)
     sine, cosine = tilt[:, 0], tilt[:, 1]
     return normalise(np.stack([sine * a, cosine * a + b, sine * c], axis=-1))

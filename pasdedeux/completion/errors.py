@@ -20,7 +20,7 @@ HIDDEN = {
     "leg": tuple(leg[1:] for leg in PAIR17.legs),
     "limbs": ([joint for side in zip(PAIR17.arms, PAIR17.legs, strict=True) for limb in side for joint in limb[1:]],),
 }
-"""What is hidden of one person: an arm, a leg, or everything beyond shoulders and hips."""
+"""Hidden joints of one person: an arm, a leg, or everything beyond shoulders and hips."""
 
 _ROOT = PAIR17.root
 
@@ -28,8 +28,8 @@ _ROOT = PAIR17.root
 def lifted_errors(lifted_m: Array, truth_m: Array) -> dict[str, Array]:
     """Return errors (n,), metres, of lifted pairs (n, person=2, joint=17, 3) against true ones in the same camera axes.
 
-    - `lifted_pair_error`: mean joint distance, the middle of the pair in one place: distance and depth count;
-    - `lifted_person_error`: mean joint distance, each person about the own root;
+    - `lifted_pair_error`: mean joint distance, with the middles of the pairs aligned: distance and depth count;
+    - `lifted_person_error`: mean joint distance, each person about their root;
     - `lifted_D_C`: after the best rigid motion of the whole pair;
     - `person_distance_error`, `relative_depth_error`: of the distance between the two roots, and of its depth.
     """
@@ -50,8 +50,6 @@ def completion_errors(
     generator: np.random.Generator, truth_m: Array, draws_m: npt.NDArray[np.floating]
 ) -> dict[str, dict[str, Array]]:
     """Hide limbs of one person of real pairs (n, 2, 17, 3), metres; return errors (n,) by hidden limb and method.
-
-    Hidden is an arm, a leg, or everything beyond shoulders and hips.
 
     `median` and `blended` are the published steps over the 100 draws nearest in D_I, `fitted` adds exact bones,
     `blended_10` takes 10 draws; the mean of all draws and the nearest draw, moved onto the visible joints, are the

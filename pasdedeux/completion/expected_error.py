@@ -1,7 +1,7 @@
-"""How wrong a lifted pair may be, estimated without the ground truth.
+"""The expected error of a lifted pair, estimated without ground truth.
 
-Where draws contain the pair, the fit to the image changes their mean little, elsewhere much.  The depth of people who
-are far apart or stretched out can be more wrong, however well draws fit.
+If draws contain the pair, the fit to the image changes their mean little, otherwise much.  The depth of people who are
+far apart or stretched out can have a larger error, however well draws fit.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ class ExpectedError(NamedTuple):
 
 
 def expected_error(image_m: Array, mean_m: Array, lifted_m: Array, *, has_own_draw: bool) -> ExpectedError:
-    """Return the error to expect of a lifted pair.
+    """Return the expected error of a lifted pair.
 
     Args:
         image_m: Its image (person=2, joint=17, 2), metres; NaN where a joint is not seen.
-        mean_m: Weighted mean of the nearest draws (2, 17, 3), metres, where the camera saw them; without a draw that
-            was lifted from this image, which agrees with it whatever it is.
-        lifted_m: What was made of it, in the same axes.
-        has_own_draw: Whether a draw that was lifted from this image is among those it was made of.
+        mean_m: Weighted mean of the nearest draws (2, 17, 3), metres, camera axes; without draws that were lifted from
+            this image, which always agree with it.
+        lifted_m: The lifted pair, in the same axes.
+        has_own_draw: Whether a draw that was lifted from this image contributed.
     """
     seen = image_m[np.isfinite(image_m).all(axis=-1)]
     if not len(seen):
@@ -72,11 +72,11 @@ def expected_error(image_m: Array, mean_m: Array, lifted_m: Array, *, has_own_dr
 
 
 def expected_over_time(alone: ExpectedError | None, together_m: float) -> ExpectedError:
-    """Return the error to expect of a pair that was lifted with others of its camera.
+    """Return the expected error of a pair that was lifted with others of its camera.
 
     Args:
-        alone: What is expected of it lifted alone; None where all were lifted by a projection database, not by draws.
-        together_m: What the reconstruction of all of them lets expect of its poses and place.
+        alone: Expected error of the pair lifted alone; None if all were lifted by a projection database, not by draws.
+        together_m: Expected error by the reconstruction of all of them, from poses and place.
     """
     if alone is None:
         value = OF_DATABASE * together_m

@@ -1,6 +1,6 @@
-"""The last step of lifting: a retrieved pair fitted to the joints seen, bone lengths exact, depth as it was retrieved.
+"""The last step of lifting: fit a retrieved pair to the seen joints, with exact bone lengths.
 
-The image decides where it sees; each bone's vector, and the depth of each person, come from what was retrieved.
+Seen joints follow the image; vectors of bones and depths of people follow the retrieved pair.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def fit_people(
 
     Args:
         targets_m: Where joints should be, (2, 17, 3), metres; NaN leaves a coordinate free.
-        deviation_m: Errors of the targets, (2, 17, 3) or what broadcasts to it, metres.
-        pair_m: Pair (2, 17, 3), metres, whose bone vectors decide where targets are silent; also the first guess.
+        deviation_m: Errors of the targets, (2, 17, 3) or broadcasts to it, metres.
+        pair_m: Pair (2, 17, 3), metres, whose bone vectors decide where there is no target; also the first guess.
         lengths_m: Bone lengths (2, 17), metres, kept exactly; those of roots are unused.
         bone_deviation_m: Error of each coordinate of a bone's vector, metres.
 

@@ -1,8 +1,8 @@
-"""The pairs between two pairs, guided by draws instead of straight.
+"""Pairs between two given pairs, guided by draws.
 
-A straight line between the joints of two poses shortens limbs and cuts through what people do not do.  Draws near the
-line show where such pairs lie, but for what they miss of the two poses; the path is the compromise of both that is
-smooth, with exact bone lengths.  Draws that are far from both give the straight line, with exact bones.
+A straight line between the joints of two poses shortens limbs and passes through implausible poses.  Draws near the
+line show where plausible pairs lie, up to their difference from the two poses.  The path is a smooth compromise of
+both, with exact bone lengths.  Draws that are far from both give the straight line, with exact bones.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
 _NUM_NEAREST = 16
-"""Draws that show where pairs lie, for each pair between."""
+"""Number of nearest draws for each pair between."""
 _LINE_DEVIATION_M = 0.05
 """Distance of a true pair from the straight line half-way."""
 _DRAW_DEVIATION_M = 0.1
-"""Distance of a true pair from the mean of its nearest draws, at least: that of the ends is known."""
+"""Smallest distance assumed of a true pair from the mean of its nearest draws; that of the ends is known."""
 _BEND_M = 0.005
 """Second difference of a joint's path between neighbouring frames."""
 _NUM_ROUNDS = 2
-"""How often draws are looked up near the path and it is led past them."""
+"""Number of rounds; each searches draws near the path and updates it."""
 
 
 def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:
-    """Return the pairs on the straight lines between two pairs (person=2, joint=17, 3), ends not among them.
+    """Return the pairs on the straight lines between two pairs (person=2, joint=17, 3), without the ends.
 
     Returns:
         Pairs (num_between, 2, 17, 3), metres, evenly spaced in time.
@@ -40,27 +40,27 @@ def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:
 
 
 def fill_between(first_m: Array, last_m: Array, num_between: int, draws_m: Draws) -> Array:
-    """Return the pairs between two pairs (person=2, joint=17, 3) of one scene, ends not among them.
+    """Return the pairs between two pairs (person=2, joint=17, 3) of one scene, without the ends.
 
     Args:
         first_m: Pair before, metres.
         last_m: Pair after, metres, in the same axes.
-        num_between: Pairs wanted, evenly spaced in time.
+        num_between: Number of pairs, evenly spaced in time.
         draws_m: Draws (draw, 2, 17, 3), metres.
 
     Returns:
-        Pairs (num_between, 2, 17, 3), metres; bone lengths are those of the two ends, from one to the other.
+        Pairs (num_between, 2, 17, 3), metres; bone lengths are the means of the two ends.
 
     Raises:
         InputError: There is no draw, or too few joints are known.
     """
     line = straight_between(first_m, last_m, num_between)
     share = np.arange(1, num_between + 1) / (num_between + 1)
-    # As a bridge pinned at both ends: the line is surest near them.
+    # As in a Brownian bridge, the line is surest near the ends.
     line_weight = (4.0 * share * (1.0 - share) * _LINE_DEVIATION_M**2) ** -1
     ends = np.stack([first_m, last_m])
     lengths = bone_lengths(PAIR17, ends).mean(axis=0)
-    # What draws miss of both ends they miss between them too.
+    # Assume that draws differ from the pairs between as they do from the ends.
     missed = ends - np.stack([_local_mean(draws_m, end) for end in ends])
     draw_weight = max(_DRAW_DEVIATION_M**2, float(np.mean(np.sum(missed**2, axis=-1)))) ** -1
     path = line
@@ -75,7 +75,7 @@ def fill_between(first_m: Array, last_m: Array, num_between: int, draws_m: Draws
 
 
 def _local_mean(draws_m: Draws, pair_m: Array) -> Array:
-    """Return the mean of the draws nearest to a pair, moved onto it, weighted by how much farther than the nearest."""
+    """Return the mean of the draws nearest to a pair, moved onto it, weighted by their distances."""
     near = nearest_rigid(draws_m, pair_m, count=_NUM_NEAREST)
     squared = near.distance_m**2
     scale = max(float(squared[0]), 1e-8)

@@ -1,4 +1,4 @@
-"""Compiled loops over draws: how far they are from an image seen from a view, and from a pair in 3D."""
+"""Compiled loops over draws: their distances from an image under a view, and from a pair in 3D."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pasdedeux.compiled import compiled
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 
 LANES = 256
-"""Draws that lie side by side in memory; arithmetic runs over them."""
+"""Number of draws side by side in memory, over which arithmetic runs."""
 
 
 @compiled(fastmath=True)
@@ -26,7 +26,7 @@ def fill_residuals(
         tilt: Sine and cosine of the angle between i and j of each draw, (block, 2, LANES).
         direction: View (a, b, c) in the local frame, (3,).
         image: Centred image points of the joints compared, (m, 2), metres.
-        joints: Which joints these are, in the order of the index, (m,).
+        joints: The compared joints, in the order of the index, (m,).
         out: Squared distances summed over the joints, (block, LANES), square metres; may be a little below 0.
     """
     count = np.float32(joints.shape[0])
@@ -76,15 +76,15 @@ def fill_residuals(
 def refill_residuals(
     points: Floats32, directions: Array, which: Integers, image: Array, joints: Integers, ceiling: float, out: Array
 ) -> None:
-    """Write the same squared distances in double precision for some draws, each under a view of its own.
+    """Write the same squared distances in double precision for some draws, each under its own view.
 
     Args:
         points: Draws as in `fill_residuals`, but one after the other, (draw, joint, 3), metres.
         directions: World directions towards the camera in the frame of `points`, (n, 3), unit.
-        which: The draws, (n,).
+        which: Indices of the draws, (n,).
         image: Centred image points (m, 2), metres.
         joints: Joints compared, (m,).
-        ceiling: A draw whose first half of the joints is farther than this is left at infinity, square metres.
+        ceiling: Draws farther than this by the first half of the joints stay at infinity, square metres.
         out: Squared distances (n,), square metres.
     """
     count = joints.shape[0]

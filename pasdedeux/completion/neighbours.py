@@ -1,4 +1,4 @@
-"""Draws near a pair in 3D, over the joints of it that are known."""
+"""Draws near a pair in 3D, over its known joints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pasdedeux.kinematics import align_rigid
 Draws = npt.NDArray[np.floating]
 
 MIN_KNOWN = 5
-"""Joints of both people together that must be known: fewer have no tetrahedra, or nearly none."""
+"""Smallest number of known joints of both people together: fewer have hardly any tetrahedra."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class NearbyDraws:
 
     Args:
         pairs_m: The draws (k, person=2, joint=17, 3), metres, moved rigidly onto the known joints.
-        draw: Which draws they are, (k,).
-        distance_m: How far each is, (k,), metres.
+        draw: Their indices, (k,).
+        distance_m: Their distances, (k,), metres.
     """
 
     pairs_m: Array
@@ -38,9 +38,9 @@ def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> NearbyDraws:
     """Return the draws nearest over the known joints: root mean square after the best proper rigid motion.
 
     Args:
-        draws_m: Draws (draw, person=2, joint=17, 3), metres; single precision costs least.
+        draws_m: Draws (draw, person=2, joint=17, 3), metres; single precision is fastest.
         pair_m: Pair (2, 17, 3), metres; NaN where a joint is not known.
-        count: Draws wanted; fewer come back when there are fewer.
+        count: Number of draws, fewer if there are fewer.
 
     Raises:
         InputError: There is no draw, or fewer than 5 joints are known.
@@ -68,10 +68,10 @@ def nearest_rigid(draws_m: Draws, pair_m: Array, *, count: int) -> NearbyDraws:
 
 
 def nearest_by_interaction(draws_m: Draws, pair_m: Array, *, count: int, num_ranked: int) -> NearbyDraws:
-    """Return the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) taken over the known joints alone.
+    """Return the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) over the known joints alone.
 
-    D_I is measured for the `num_ranked` draws nearest by `nearest_rigid`; with `num_ranked` as large as the number of
-    draws the answer is exact.
+    D_I is measured for the `num_ranked` draws nearest by `nearest_rigid`; if `num_ranked` is the number of draws, the
+    result is exact.
 
     Raises:
         InputError: As `nearest_rigid`.

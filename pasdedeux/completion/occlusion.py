@@ -1,7 +1,7 @@
-"""Occluded joints completed from draws (Yin et al. 2018, section 6, Fig. 12).
+"""Complete occluded joints from draws (Yin et al. 2018, section 6, Fig. 12).
 
-The draws nearest to an incomplete pair in D_I over its visible joints give a median pair; the median is deformed onto
-what is visible by Gaussian-weighted linear blending.  A final fit, ours, puts the bone lengths right.
+The draws nearest to an incomplete pair in D_I over its visible joints give a median pair.  The median is deformed onto
+the visible joints by Gaussian-weighted linear blending.  Our final fit makes bone lengths exact.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
 
 NUM_NEAREST = 100
-"""Draws a median is taken over (Yin et al. 2018: 100)."""
+"""Number of draws in the median (Yin et al. 2018: 100)."""
 BLEND_DEVIATION_M = 0.2
-"""Width of the Gaussian weights of visible joints, metres; the paper names none."""
+"""Width of the Gaussian weights of visible joints, metres; the paper states none."""
 _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M = 0.005, 0.05
 
 
@@ -48,8 +48,8 @@ def complete_pair(
     Args:
         pair_m: Pair (person=2, joint=17, 3), metres; NaN where a joint is hidden.
         draws_m: Draws (draw, 2, 17, 3), metres.
-        num_nearest: Draws the median is taken over; all where there are fewer.
-        num_ranked: Draws that D_I is measured for; twice as many where it is not given.
+        num_nearest: Number of draws in the median, fewer if there are fewer.
+        num_ranked: Number of draws for which D_I is measured; by default twice as many.
 
     Raises:
         InputError: There is no draw, or fewer than 5 joints are visible.
@@ -66,9 +66,9 @@ def complete_pair(
 def blend_onto(median_m: Array, pair_m: Array) -> Array:
     """Deform a pair (person=2, joint=17, 3) onto the visible joints of another, metres.
 
-    A visible joint goes where it is seen.  A hidden one moves by the mean of the visible ones' moves, weighted by
-    exp(-d^2 / (2 s^2)), s = 0.2 m, of their distances d in the median; far from all of them the nearest decides.
-    At least one joint must be visible.
+    A visible joint moves to where it is seen.  A hidden joint moves by the mean displacement of visible joints,
+    weighted by exp(-d^2 / (2 s^2)), s = 0.2 m, of their distances d in the median; far from all of them, the nearest
+    decides. At least one joint must be visible.
     """
     is_visible = np.isfinite(pair_m).all(axis=-1).ravel()
     points, target = median_m.reshape(-1, 3), np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)
@@ -80,10 +80,10 @@ def blend_onto(median_m: Array, pair_m: Array) -> Array:
 
 
 def in_depth_order(pair_m: Array, other_m: Array) -> Array:
-    """Return a pair (person=2, joint=17, 3) whose people are in depth (z) in the order of another pair's.
+    """Return a pair (person=2, joint=17, 3) whose people have the order in depth (z) of another pair.
 
-    Where the order of the pelvises differs, both people are moved along z to be as far apart as those of the other
-    pair; their image, without perspective, stays the same.
+    If the order of the pelvises differs, both people are moved along z to the distance of those of the other pair;
+    their image, without perspective, stays the same.
 
     >>> pair = np.zeros((2, 17, 3)) + np.array([0.0, 0.2])[:, None, None]
     >>> in_depth_order(pair, -2.0 * pair)[:, 0, 2].round(2).tolist()
@@ -97,7 +97,7 @@ def in_depth_order(pair_m: Array, other_m: Array) -> Array:
 
 
 def _known_lengths(pair_m: Array, pairs_m: Array) -> Array:
-    """Return bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others."""
+    """Return bone lengths (person=2, joint=17), metres: of the pair, its other side, or the median of other pairs."""
     pair_lengths = bone_lengths(PAIR17, np.asarray(pair_m, dtype=np.float64))
     other = pair_lengths[:, list(PAIR17.mirror)]
     usual = np.median(bone_lengths(PAIR17, pairs_m), axis=0)

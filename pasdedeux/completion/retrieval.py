@@ -1,8 +1,8 @@
 """Lifting by sampling: the draws that look most like an annotation, as 3D pairs in the camera's axes.
 
-Yin et al. 2018, Fig. 2.  The paper takes the nearest draw alone.  Several near draws show where they agree on depth,
-and several hypotheses of the view compete: a view is known to some 10 degrees, which is more depth than a pose leaves
-open.
+Yin et al. 2018, Fig. 2.  The paper takes the nearest draw alone.  We average several near draws, because depths on
+which they agree are surer, and compare several hypotheses of the view, whose error of some 10 degrees matters more for
+depth than the pose.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.nearest import image_distances
 
 _NUM_NEIGHBOURS = 8
-"""Near draws that a pair's depth is averaged over."""
+"""Number of near draws that are averaged."""
 _NEIGHBOUR_DEVIATION_M = 0.03
 """Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws."""
 _NUM_RANKED_DRAWS, _NUM_RANKED_IMAGES = 12, 20
-"""Draws and images nearest by place that are ranked anew in d_I."""
+"""Numbers of draws and images, nearest by position, that are ranked again by d_I."""
 
 
 @dataclass(frozen=True)
 class Retrieval:
-    """Draws that look like an annotation, nearest first, where the annotation saw them.
+    """Draws that look like an annotation, nearest first, in its camera's axes.
 
     Args:
         pairs_m: The draws (k, person=2, joint=17, 3), metres, camera axes (x right, y up, z towards the camera); over
             the joints seen they share the image's centroid, and depth 0 there.
         weight: Weight of each, (k,); they sum to 1.
-        nearest: Which draws they are, under which view, and how far.
+        nearest: Their indices, views and distances.
     """
 
     pairs_m: Array
@@ -43,20 +43,20 @@ class Retrieval:
 
     @property
     def mean_m(self) -> Array:
-        """The weighted mean of the pairs, (2, 17, 3), metres; its bones are a little short."""
+        """The weighted mean of the pairs, (2, 17, 3), metres; its bones are slightly short."""
         return np.tensordot(self.weight, self.pairs_m, axes=1)
 
 
 def retrieve(
     index: DrawIndex, image_m: Array, directions: Array, *, without: Sequence[int] | Integers = ()
 ) -> Retrieval:
-    """Return the draws nearest to an image, moved to where it saw them.
+    """Return the draws nearest to an image, in its camera's axes.
 
     Args:
         index: Draws.
         image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
-        without: Draws that do not count, unless there are no others.
+        without: Draws to exclude, unless there are no others.
 
     Raises:
         InputError: No view, or fewer than 4 joints seen.
@@ -72,16 +72,16 @@ def retrieve(
 
 
 def nearest_by_image(index: DrawIndex, image_m: Array, directions: Array, *, count: int = 1) -> tuple[Array, Array]:
-    """Return the draws nearest to an image in d_I, each under its best view: the nearest by place, ranked anew.
+    """Return the draws nearest to an image in d_I, each under its best view, among those nearest by position.
 
     Args:
         index: Draws.
         image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
-        count: Draws wanted.
+        count: Number of draws.
 
     Returns:
-        The draws (k, 2, 17, 3) as the image's camera saw them, nearest first, and d_I, (k,), metres.
+        The draws (k, 2, 17, 3) in axes of the image's camera, nearest first, and d_I, (k,), metres.
     """
     near = index.nearest(image_m, directions, count=_NUM_RANKED_DRAWS)
     placed = index.placed(near.draw, np.asarray(directions)[near.view], image_m)
@@ -91,16 +91,16 @@ def nearest_by_image(index: DrawIndex, image_m: Array, directions: Array, *, cou
 
 
 def nearest_images(pair_m: Array, images_m: Array, directions: Array, *, count: int) -> tuple[Integers, Array]:
-    """Return the images that look most like a pair, each seen from where it was taken, by d_I.
+    """Return the images that look most like a pair, each compared under its own view, by d_I.
 
     Args:
         pair_m: A pair (person=2, joint=17, 3), metres, in any axes.
         images_m: Images (n, 2, 17, 2), metres; NaN where a joint is not seen.
         directions: View of each in the pair's local frame, (n, 3).
-        count: Images wanted.
+        count: Number of images.
 
     Returns:
-        Which images, nearest first, and d_I, (k,), metres.
+        Indices of the images, nearest first, and d_I, (k,), metres.
     """
     seen = project_pair(pair_m, directions)
     flat, images = (merge_axes(points, 1, -1) for points in (seen, images_m))
@@ -112,9 +112,9 @@ def nearest_images(pair_m: Array, images_m: Array, directions: Array, *, count: 
 
 
 def image_residual(pair_m: Array, image_m: Array) -> float:
-    """Return how far a pair (person=2, joint=17, 3), camera axes, is from an image (2, 17, 2) where joints are seen.
+    """Return the distance of a pair (person=2, joint=17, 3), camera axes, from an image (2, 17, 2) over seen joints.
 
-    Root mean square distance in the image plane, metres, after the best turn and shift in it; NaN where nothing is
+    It is the root mean square distance in the image plane, metres, after the best turn and shift; NaN if nothing is
     seen.
     """
     is_seen = np.isfinite(image_m).all(axis=-1)

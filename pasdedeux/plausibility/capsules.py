@@ -1,7 +1,7 @@
-"""Bodies as capsules round the bones: radii, distances in closed form, penetration within and between people.
+"""Bodies as capsules around the bones: radii, distances in closed form, penetration within and between people.
 
 Penetration is eta of lift eq. 2 (Yin et al. 2018): the sum of the penetration depths over pairs of bones.  The paper
-asks a physics engine; here the distance of two segments is a formula, and pairs far apart are skipped.
+asks a physics engine; here, the distance of two segments is a formula, and pairs far apart are skipped.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ RADIUS_PER_HEIGHT: Mapping[str, float] = {
     "head": 0.040,
     **{f"{side}_{bone}": radius for side in ("left", "right") for bone, radius in _SIDED.items()},
 }
-"""Radius of the capsule round each bone, named by its child joint, as a share of the stature.
+"""Radius of the capsule around each bone, named by its child joint, as a share of the stature.
 
 About four fifths of the half depth of the trunk and of girth / 2 pi of the limbs of an adult (a median man at 1.75 m:
 half depth of the chest 0.115, girth of upper arm 0.33, forearm 0.27, mid thigh 0.55, calf 0.38 m): limbs taper, and
-flesh gives way by a centimetre or two before bodies penetrate.
+flesh yields by a centimetre or two before bodies penetrate.
 """
 
 
 @dataclass(frozen=True)
 class CapsuleModel:
-    """Which bones of a skeleton may touch, and how thick they are.
+    """The capsules of a skeleton, and the pairs of bones that are checked.
 
     Args:
         skeleton: The skeleton; a bone is named by its child joint.
@@ -74,7 +74,7 @@ class CapsuleModel:
         return np.asarray(height_m, dtype=np.float64)[..., None] * self.radius_per_height
 
     def radii_of(self, positions: Array) -> Array:
-        """Return radii (person, J) of people seen in poses (*batch, person, J, 3): from their median leg lengths."""
+        """Return radii (person, J) of people in poses (*batch, person, J, 3), from their median leg lengths."""
         lengths = bone_lengths(self.skeleton, positions)
         typical = np.median(lengths.reshape(-1, *lengths.shape[-2:]), axis=0)
         return self.radii_m(body_height_m(self.skeleton, typical))
@@ -84,7 +84,7 @@ class CapsuleModel:
 
         Args:
             people_m: People (*batch, person, J, 3), metres.
-            radii_m: Radii of each person's bones, (person, J), metres; None: those of each pose's own leg lengths.
+            radii_m: Radii of each person's bones, (person, J), metres; by default from the leg lengths of each pose.
         """
         *batch, num_people, _, _ = np.shape(people_m)
         people = np.ascontiguousarray(people_m, dtype=np.float64).reshape(-1, num_people, self.skeleton.num_joints, 3)
@@ -102,7 +102,7 @@ def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
 
 
 def radius_per_height(skeleton: Skeleton) -> Array:
-    """Return the radius of each joint's bone as a share of the stature (J,); 0 of a bone that none is known of."""
+    """Return the radius of each joint's bone as a share of the stature (J,); 0 if it is unknown."""
     return np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
 
 
@@ -131,7 +131,7 @@ def _depth(
     """Return the penetration depth of two capsules whose radii sum to `reach`, half their bones to `halves`, or 0."""
     start_a, start_b = row_of(a, parent_a), row_of(b, parent_b)
     u, v, gap = subtract(row_of(a, child_a), start_a), subtract(row_of(b, child_b), start_b), subtract(start_a, start_b)
-    # Balls round the two bones: far apart is decided without a division.
+    # Balls around the two bones exclude pairs far apart without a division.
     middle = mix(1.0, gap, 0.5, subtract(u, v))
     far = reach + halves
     if dot(middle, middle) >= far * far:
@@ -221,6 +221,6 @@ def _bones_on_paths(skeleton: Skeleton) -> Array:
 
 
 def standing_m(skeleton: Skeleton) -> Array:
-    """Return a person of stature 1 in the T-pose (J, 3) of pair17, op14 or body22; its nose is its head."""
+    """Return a person of stature 1 in the T-pose (J, 3) of pair17, op14 or body22; the nose is at the head."""
     places = np.array([t_pose(joint) for joint in (*BODY22.joint_names, "head")])
     return LAYOUTS[BODY22.name].joint_map(skeleton.name).positions(places, (*BODY22.joint_names, "nose"))

@@ -1,7 +1,7 @@
-"""Is it a good capture: what the people of a take do, against what people can do, before anything is built on it.
+"""Check a capture: compare the motion of the people of a take with what people can do.
 
-No figure depends on where a take lies or which way it faces.  Speed and jerk are taken over the whole number of frames
-nearest to 1/30 s, and a jump is a distance, so that figures hardly depend on the frame rate.
+Figures do not depend on the position and heading of a take.  Speed and jerk are taken over the whole number of frames
+nearest to 1/30 s, and a jump is a distance, so figures hardly depend on the frame rate.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
 _STEP_S, _SAMPLE_S = 1 / 30, 1 / 10
-"""Time over which speed and jerk are taken; time between the frames in which partners and floor are looked at."""
+"""Time over which speed and jerk are taken, and time between the frames in which partners and floor are checked."""
 _JERK_PERCENT, _FLOOR_PERCENT, _DEPTH_PERCENT = 95.0, 5.0, 95.0
 _LOW_M, _AIR_M, _HELD_M = 0.05, 0.15, 0.2
-"""A foot joint carries that is no more than the first above the least height of its foot, and that less than the second
-above the other's; who has no joint below the second is in the air (joints of feet lie 2-10 cm above the soles), held by
-a partner nearer than the third."""
+"""A foot joint bears weight if it is at most the first above the smallest height of its foot, which is less than the
+second above that of the other foot.  A person without a joint below the second is in the air (joints of feet lie 2-10
+cm above the soles), or held by a partner nearer than the third."""
 _UPRIGHT = 0.5
-"""Least cosine between the vertical and the line from ankles to neck of somebody upright."""
+"""Smallest cosine between the vertical and the line from ankles to neck of an upright person."""
 _UP, _LEVEL = 1, [0, 2]
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _FEET = [*_ANKLES, *BODY22.indices(["left_toe", "right_toe"])]
 _OTHER_OF_FOOT = [2, 3, 0, 1]
-"""Of each of these the toe or ankle of the same foot."""
+"""For each of these, the index of the other joint of the same foot."""
 _NECK = BODY22.index("neck")
 _TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
 _TOES = BODY22.indices(["left_toe", "right_toe"])
 _STANDING = StandingSettings(away_share=1.0)
 _FLAT, _FLAT_SHARE = 0.43, 0.05
-"""Sine of the angle of the line from toe to ankle, up to which a foot lies flat (it has 0.26, one that hangs 0.73), and
-share of the frames in which a foot must, so that its floor is known."""
+"""Largest sine of the slope from toe to ankle of a flat foot (typically 0.26; 0.73 for a hanging foot), and smallest
+share of frames with flat feet that determine a floor."""
 _EXTENT_M = 0.1
-"""Standard deviation of the places of flat feet, across their narrower side, that tells how the floor tilts."""
+"""Smallest standard deviation of the places of flat feet, in their narrower direction, that determines the tilt."""
 
 _OF_TAKE = (
     *("floor_spread_m", "floor_gap_m", "tilt_rad", "upright_share", "distance_m", "trunk_m"),
@@ -59,7 +59,7 @@ _OF_TAKE = (
 class PersonCapture:
     """Figures of one person of a take, columns of `take_quality`.
 
-    Those from `floor_spread_m` on are of the whole take, and NaN where they need a partner and there is none.
+    Figures from `floor_spread_m` on are of the whole take, and NaN if they need a partner and there is none.
     """
 
     stature_m: float = figure("Stature, estimated from the length of the legs")
@@ -158,7 +158,7 @@ class PersonCapture:
 
     @property
     def stature_factor(self) -> float:
-        """How many times the stature is larger or smaller than usual."""
+        """Factor by which the stature is larger or smaller than usual."""
         return max(self.stature_m / USUAL_HEIGHT_M, USUAL_HEIGHT_M / max(self.stature_m, 1e-9))
 
     def complaints(self, limits: Limits) -> list[Complaint]:
@@ -202,7 +202,7 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
     Args:
         people: Figures of each person.
         limits: What is allowed.
-        names: Names of the files of the people, where there are any: those of different takes are a warning.
+        names: Names of the files of the people, if any; names of different takes give a warning.
     """
     apart = next(filter(None, (_names_apart(*both) for both in combinations(names, 2))), "")
     shared = [Complaint(Level.WARN, apart, is_of_take=True)] if apart else []
@@ -216,7 +216,7 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
 
 
 def _verdict(complaints: Sequence[Complaint]) -> Verdict:
-    """Return the worst level, and all complaints, failures first, none twice."""
+    """Return the worst level, and all complaints once, failures first."""
     in_order = dict.fromkeys(sorted(complaints, key=lambda complaint: complaint.level is not Level.FAIL))
     return Verdict(
         next(iter(in_order)).level if in_order else Level.PASS, "; ".join(complaint.text for complaint in in_order)
@@ -224,9 +224,10 @@ def _verdict(complaints: Sequence[Complaint]) -> Verdict:
 
 
 def _names_apart(one: str, other: str) -> str:
-    """Say why files of these names may not be one take: names of partners differ in one part, `60_03` and `61_03`.
+    """Return a complaint if two names seem to be of different takes, else an empty text.
 
-    Names of a single part are not judged, nor are equal ones: their folders distinguish the people.
+    Names of partners differ in one part (60_03 and 61_03).  Names with a single part, and equal names, whose folders
+    distinguish the people, are not judged.
     """
     if one == other:
         return ""
@@ -245,7 +246,7 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
             least one frame.
         rate_hz: Frames per second.
 
-    Somebody who never touches the floor has no feet that slide; motions of fewer than 4 steps of 1/30 s have no jerk.
+    A person who never touches the floor has no sliding feet; motions of fewer than 4 steps of 1/30 s have no jerk.
     """
     low = body22_m[..., _UP].min(axis=-1)
     floor = np.percentile(body22_m[:, :, _FEET, _UP].min(axis=(1, 2)), _FLOOR_PERCENT)
@@ -320,9 +321,9 @@ def _norm(vectors: Array) -> Array:
 
 
 def _floors(ankles_m: Array, toes_m: Array, *, rate_hz: float, step: int) -> tuple[Array, float]:
-    """Return the heights at which toes of flat feet rest, of each person who has any, and the slope of these floors.
+    """Return the heights of the toes of flat feet, for each person who has any, and the slope of these floors.
 
-    The slope is NaN where flat feet keep to a line or a place.
+    The slope is NaN if all flat feet are on a line or in one place.
 
     Args:
         ankles_m: Ankles (frame, person, foot=2, 3), metres.
@@ -343,9 +344,9 @@ def _floors(ankles_m: Array, toes_m: Array, *, rate_hz: float, step: int) -> tup
 
 
 def _skate(feet_m: Array, step: int) -> float:
-    """Return how far the stiller of the feet joints (frame, joint, 3) that carry moves in so many frames, median.
+    """Return the median displacement, over a step, of the stiller joint that bears weight (frame, joint, 3).
 
-    A foot may lie some centimetres above the other one all the time, and carries none the less.
+    A foot that is always some centimetres above the other still bears weight.
     """
     height = feet_m[..., _UP]
     lowest = np.minimum(height, height[:, _OTHER_OF_FOOT])
@@ -358,7 +359,7 @@ def _skate(feet_m: Array, step: int) -> float:
 
 
 def _difference(first: Array, other: Array) -> float:
-    """Return how far the poses (frame, joint, 3) of two people differ, turned about y; 95th percentile of frames."""
+    """Return the difference of the poses (frame, joint, 3) of two people, turned about y; 95th percentile of frames."""
     first, other = first - first[:, :1], other - other[:, :1]
     a, b = first[..., 0] + 1j * first[..., 2], other[..., 0] + 1j * other[..., 2]
     turn = (a * b.conj()).sum(axis=1, keepdims=True)

@@ -1,10 +1,10 @@
-"""Joint limits: which angles of a pose are out of range, and the nearest pose whose angles all are in range.
+"""Joint limits: the angles of a pose that are out of range, and the nearest pose with all angles in range.
 
 The angles are those that the positions of pair17 determine.  The pelvis frame has y from pelvis to spine, x towards the
 left hip, z forward; the chest frame y from spine to chest, x towards the left shoulder.
 
 - `elevation`: of the hip or shoulder bone above the plane square to the frame's y.
-- `hip_spread`, `shoulder_spread`: from the left bone round the back to the right one, about y; 180 degrees is a line.
+- `hip_spread`, `shoulder_spread`: from the left bone around the back to the right one, about y; a line has 180 degrees.
 - `flexion` and `lateral` of spine, neck and head: forward, and to the left, against the bone below.
 - `torsion`: yaw of the shoulders against the hips, to the left.
 - shoulder `extension` and `crossing`: elevation of the upper arm backwards, and towards the other side of the body.
@@ -13,10 +13,10 @@ left hip, z forward; the chest frame y from spine to chest, x towards the left s
   carried along without twist from the arm held sideways (forearm forward) or the thigh hanging (shank backward).
 - elbow and knee `flexion`: 0 when straight.  Bending a hinge the wrong way shows as rotation out of range.
 
-Rotation and flexion of nearly straight limbs are badly determined; their ranges widen by `SLACK_RAD` over the sine that
-says how well they are determined, so that nothing jumps.
+Rotation and flexion of nearly straight limbs are badly determined.  Their ranges widen by `SLACK_RAD` over the sine of
+the bend, so that results are continuous.
 
-Poses are walked one at a time by compiled loops (`joint_limits_kernel`).
+Compiled loops (`joint_limits_kernel`) process one pose at a time.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pasdedeux.skeletons import PAIR17
 MAX_INVALID_ANGLES = 8
 """A pair with more invalid angles than this is impossible (Yin et al. 2018, section 4.1)."""
 _LEFT_OUT_PERCENT = 0.5
-"""Share of captured angles at each end that ranges are not widened for."""
+"""Percentage of captured angles at each end for which ranges are not widened."""
 
 _MIRROR = [ANGLE_INDEX[PAIR17.joint_names[PAIR17.mirror[PAIR17.index(angle.joint)]], angle.angle] for angle in ANGLES]
 
@@ -62,7 +62,7 @@ class JointLimits:
     Args:
         lower_rad: Smallest valid angles, (29,), in the order of `ranges.ANGLES`.
         upper_rad: Greatest valid angles, (29,).
-        source: Where each range came from, 29 texts.
+        source: Source of each range, 29 texts.
     """
 
     lower_rad: Array
@@ -89,11 +89,11 @@ class JointLimits:
         )
 
     def widened(self, pair17_m: Array, *, name: str) -> JointLimits:
-        """Return limits that also hold the middle of the angles seen in capture; left and right get the same ranges.
+        """Return limits widened to most angles of captured poses; left and right get the same ranges.
 
         Args:
             pair17_m: Captured poses, (*batch, joint=17, 3), metres.
-            name: What they are, for `source`.
+            name: Name of the poses, for `source`.
         """
         angles, slack = angles_and_slack(as_poses(pair17_m))
         if len(angles) == 0:
@@ -126,10 +126,10 @@ class JointLimits:
         return np.asarray(~is_within & (high - low < 2.0 * np.pi))
 
     def nearest_valid(self, pair17_m: Array) -> NearestValid:
-        """Return valid poses near poses (*batch, joint=17, 3): each bad angle moves to its nearest limit, root outward.
+        """Return valid poses near poses (*batch, joint=17, 3): move each bad angle to its nearest limit, root outward.
 
-        Bone lengths and the root are kept; what hangs on a moved bone moves with it.  This is the nearest pose joint by
-        joint and an upper bound of the distance to the nearest pose overall.
+        Bone lengths and the root are kept; all bones after a moved bone move with it.  The result is nearest joint by
+        joint; its distance is an upper bound on that to the nearest pose overall.
         """
         shape = np.shape(pair17_m)
         valid, count, squared = move_poses(as_poses(pair17_m), self.ranges_rad)
@@ -137,12 +137,12 @@ class JointLimits:
 
     @cached_property
     def ranges_rad(self) -> Array:
-        """Smallest and greatest valid angles, (2, 29), as compiled loops take them."""
+        """Smallest and greatest valid angles, (2, 29), for compiled loops."""
         return np.stack([self.lower_rad, self.upper_rad])
 
 
 def as_poses(pair17_m: Array) -> Array:
-    """Return poses (*batch, joint=17, 3) as compiled loops take them, (n, 17, 3)."""
+    """Return poses (*batch, joint=17, 3) for compiled loops, (n, 17, 3)."""
     return np.ascontiguousarray(pair17_m, dtype=np.float64).reshape(-1, PAIR17.num_joints, 3)
 
 

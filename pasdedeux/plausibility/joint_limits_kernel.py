@@ -1,6 +1,6 @@
-"""Joint limits of one pose at a time, compiled: a walk over the joints that measures angles and moves bad ones.
+"""Compiled joint limits: walk over the joints of a pose, measure angles, and move bad ones.
 
-The angles are those of `joint_limits`.
+`joint_limits` defines the angles.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ assert PAIR17.indices(("left_shoulder", "right_shoulder", "left_hip", "right_hip
 
 
 class _Walk(NamedTuple):
-    """What a walk over the joints reads and writes.
+    """Input and output of a walk over the joints.
 
     Args:
-        points: Pose (17, 3), metres; joints move where an angle is out of range.
+        points: Pose (17, 3), metres; joints move if an angle is out of range.
         limits: Smallest and greatest valid angles, (2, 29), radians.
-        measured: The angles as they were found, and the slack of their ranges, (2, 29), radians.
-        is_limited: Whether any angle is out of range at all; else joints stay.
+        measured: The angles before any move, and the slack of their ranges, (2, 29), radians.
+        is_limited: Whether joints move; otherwise angles are only measured.
     """
 
     points: Array
@@ -79,7 +79,7 @@ def _arcsin(value: float) -> float:
 
 @inner_kernel()
 def _angle(sine: float, cosine: float) -> float:
-    """Return the angle of a sine and a cosine of any common size; 0, not half a turn, where an empty bone has -0."""
+    """Return the angle of a scaled sine and cosine; 0, not half a turn, if an empty bone gives -0."""
     return math.atan2(sine, cosine + 0.0)
 
 
@@ -97,7 +97,7 @@ def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
 
 @inner_kernel()
 def _change(walk: _Walk, index: int, value: float, slack: float) -> float:
-    """Note an angle and its slack; return what brings it to its nearest limit, 0 within the range."""
+    """Write an angle and its slack; return the change to its nearest limit, 0 within the range."""
     walk.measured[0, index] = value
     walk.measured[1, index] = slack
     if not walk.is_limited:
@@ -111,7 +111,7 @@ def _change(walk: _Walk, index: int, value: float, slack: float) -> float:
 
 @inner_kernel()
 def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine: float, sine: float) -> None:
-    """Turn joints `first` to `last` about a unit axis through joint `pivot`; not at all about an empty one."""
+    """Turn joints `first` to `last` about a unit axis through joint `pivot`; an axis of zero does nothing."""
     if dot(axis, axis) == 0.0:
         return
     px, py, pz = points[pivot, 0], points[pivot, 1], points[pivot, 2]

@@ -1,12 +1,12 @@
-"""Ranges of motion: the angles that the joint positions of pair17 determine, with their published limits.
+"""Ranges of motion: the angles determined by the joint positions of pair17, with their published limits.
 
 Sources, in degrees from the neutral position:
 
 - CDC: Soucie et al. 2011, "Range of motion measurements: reference values and a database for comparison studies",
   Haemophilia 17, 500-507 (the CDC Normal Joint Study); the greatest mean of its age groups.
 - AAOS: American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording", 1965.
-- anatomy: our own allowance for what no table states, because it depends on where a skeleton puts its joints (hips
-  below the pelvis, shoulders beside the chest) and not on how far a person can move.
+- anatomy: our own allowance for angles in no table, because they depend on where a skeleton places its joints (hips
+  below the pelvis, shoulders beside the chest), not on mobility.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SLACK_RAD = 0.1
 """Uncertainty of a direction in captured data, radians (1-2 cm at the end of a limb bone)."""
 
 TINY = 1e-9
-"""What rounding may add to an angle at its limit, radians."""
+"""Tolerance for rounding at a limit, radians."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class AngleRange:
 _LEFT_RIGHT = ("left", "right")
 
 ANGLES: tuple[AngleRange, ...] = (
-    # How the hip joints sit on the pelvis, against the bone pelvis-spine.
+    # Hip joints on the pelvis, relative to the bone pelvis-spine.
     *(AngleRange(f"{side}_hip", "elevation", -50.0, 20.0, "anatomy") for side in _LEFT_RIGHT),
     AngleRange("pelvis", "hip_spread", 155.0, 205.0, "anatomy"),
     # The bend of the trunk at the spine joint; AAOS thoracolumbar spine.
     AngleRange("spine", "flexion", -30.0, 80.0, "AAOS"),
     AngleRange("spine", "lateral", -35.0, 35.0, "AAOS"),
     AngleRange("spine", "torsion", -45.0, 45.0, "AAOS"),
-    # How the shoulders sit on the chest, against the bone spine-chest.
+    # Shoulders on the chest, relative to the bone spine-chest.
     *(AngleRange(f"{side}_shoulder", "elevation", 0.0, 75.0, "anatomy") for side in _LEFT_RIGHT),
     AngleRange("chest", "shoulder_spread", 110.0, 250.0, "anatomy"),
     # The neck leaves the chest, the head leaves the neck; AAOS cervical spine.
@@ -78,4 +78,4 @@ ANGLES: tuple[AngleRange, ...] = (
 
 NUM_ANGLES = len(ANGLES)
 ANGLE_INDEX = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
-"""Where an angle stands in `ANGLES`, by joint and name."""
+"""Index of each angle in `ANGLES`, by joint and name."""

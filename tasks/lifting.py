@@ -86,10 +86,10 @@ def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     Raises:
         InputError: Draws are to be compared that are not there.
     """
-    draws = [one for one in draw_manifests(inputs) if knows_annotations(one)]
+    draws = [manifest for manifest in draw_manifests(inputs) if knows_annotations(manifest)]
     if not draws:
         return []
-    names = sorted({density_of(one) for one in draws})
+    names = sorted({density_of(manifest) for manifest in draws})
     if unknown := sorted(set(parameters.compared) - set(names)):
         raise InputError(f"lifting.compared: there are no draws '{unknown[0]}'; there are: {', '.join(names)}")
     views = {ref: manifest for manifest in inputs.of("views") for ref in manifest.inputs}
@@ -128,7 +128,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     every, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    in_time = sorted(place for own in couples_of(annotated, every).values() for place in own)
+    in_time = sorted(place for places in couples_of(annotated, every).values() for place in places)
     spans = _spans(in_time, options.num_spans, options.between_frames) if options.between_frames else []
     places = list(every)
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
@@ -169,7 +169,7 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
     distance = {
         method: [row["residual_m"] for row in rows if row["method"] == method] for method in ("nearest", "mean_pair")
     }
-    nearest, mean_pair = (float(np.mean(found)) if found else math.nan for found in distance.values())
+    nearest, mean_pair = (float(np.mean(distances)) if distances else math.nan for distances in distance.values())
     level, reason = Level.PASS, ""
     if not rows:
         level = Level.FAIL if num_skipped else Level.WARN
@@ -212,8 +212,8 @@ def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[
     spans = [span for span in spans if span[1] in there]
     if not spans:
         in_order = sorted(places, key=lambda place: (place._replace(frame=0), place.frame))
-        spans = [(one, two) for one, two in pairwise(in_order) if one._replace(frame=two.frame) == two]
-        spans = [(one, two) for one, two in spans if 1 < two.frame - one.frame <= 2 * gap]
+        spans = [(first, last) for first, last in pairwise(in_order) if first._replace(frame=last.frame) == last]
+        spans = [(first, last) for first, last in spans if 1 < last.frame - first.frame <= 2 * gap]
     return [spans[at] for at in evenly_spread(len(spans), num_spans)]
 
 
@@ -241,8 +241,8 @@ def _over_time(
         return _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[0]
 
     lifted: dict[PairPlace, tuple[np.ndarray, float]] = {}
-    for own in couples_of(facts, places).values():
-        lifted |= lift_couple(store, shard.ref("annotations"), own, wanted, database)
+    for of_couple in couples_of(facts, places).values():
+        lifted |= lift_couple(store, shard.ref("annotations"), of_couple, wanted, database)
     is_of_draws = bool(lifted) and _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[1]
     return {place: Together(*pair, is_of_draws) for place, pair in lifted.items()}
 
@@ -269,11 +269,11 @@ def lift_again(
         InputError: There are no draws, or the annotation shows too little or has no view.
     """
     inputs = [store.manifest(ref) for ref in at_hand]
-    tables = {table: [one for one in inputs if table in one.tables] for table in ("draws", "seeds")}
-    draws_of = [one for one in draw_manifests(StageInputs(tables, seed=0)) if knows_annotations(one)]
+    tables = {table: [manifest for manifest in inputs if table in manifest.tables] for table in ("draws", "seeds")}
+    draws_of = [manifest for manifest in draw_manifests(StageInputs(tables, seed=0)) if knows_annotations(manifest)]
     if not draws_of:
         raise InputError("lifting needs grown pairs, or draws of a density other than prior_only; there are none")
-    draws, index = _indexed_draws(store, tuple(one.ref for one in draws_of))
+    draws, index = _indexed_draws(store, tuple(manifest.ref for manifest in draws_of))
     pairs = []
     for instead in (None, {moment: points_px}):
         every, _ = read_seen_pairs(store, annotations, views, num_hypotheses=_NUM_HYPOTHESES, instead=instead)
@@ -309,7 +309,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
     for artifact, reference in enumerate(draws.refs):
         rows = np.flatnonzero(draws.artifacts == artifact)
         for draw, seed in zip(rows.tolist(), seeds.get(reference, ()), strict=False):
-            for image in {images[one] for one in parents.get(int(seed), ()) if one in images}:
+            for image in {images[parent] for parent in parents.get(int(seed), ()) if parent in images}:
                 by_image.setdefault(image, []).append(draw)
     return by_image
 
@@ -319,25 +319,25 @@ def _baselines(
 ) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
     options = shard.options(LiftingShard)
-    whole = [one.image_m for one in every.values() if one.is_seen.all()]
+    whole = [seen.image_m for seen in every.values() if seen.is_seen.all()]
     if not options.baselines or not whole:
         return []
     limits = read_limits(store, shard.refs("joint_limits"))
     basis = read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations")))
     lengths = apparent_bone_lengths(np.stack(whole))
     rows = []
-    for one in wanted:
-        if not one.is_seen.all():
+    for seen in wanted:
+        if not seen.is_seen.all():
             continue
-        lifted = lift_pair(one.image_m, one.directions[0], lengths, limits, basis)
+        lifted = lift_pair(seen.image_m, seen.directions[0], lengths, limits, basis)
         if lifted is None:
             continue
-        by_ik = lift_by_ik(one.image_m, lifted, lengths, limits)
+        by_ik = lift_by_ik(seen.image_m, lifted, lengths, limits)
         made = {"lifting": lifted, "lifting_ik": by_ik}
         if "naive_sampling" in options.baselines:
-            rng = stream(shard.seed, "lifting", *one.place)
-            made["naive_sampling"] = sample_naively(rng, one.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
-        rows += [lifted_row(one, method, pair_m) for method, pair_m in made.items() if method in options.baselines]
+            rng = stream(shard.seed, "lifting", *seen.place)
+            made["naive_sampling"] = sample_naively(rng, seen.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
+        rows += [lifted_row(seen, method, pair_m) for method, pair_m in made.items() if method in options.baselines]
     return rows
 
 

@@ -233,7 +233,7 @@ def clusters_of(inputs: StageInputs, parts: Sequence[Manifest]) -> tuple[list[Ma
 def read_clusters(store: Store, ref: ArtifactRef) -> Clusters:
     """Return the clusters of a database's projections."""
     table = store.read(ref, "projection_clusters")
-    members = tuple(np.asarray(own, dtype=np.int64) for own in table["members"])
+    members = tuple(np.asarray(numbers, dtype=np.int64) for numbers in table["members"])
     return Clusters(np.asarray(table["representative"], dtype=np.int64), members)
 
 
@@ -277,7 +277,7 @@ def _of_take(store: Store, ref: ArtifactRef, rate_hz: float) -> _PosesTogether:
     take, rest_m = TakeFacts.of(store.manifest(ref)), read_rest(store, ref)
     poses = read_motion(store, ref, "op14_m", "body22_m", "body22_world_unitquat")
     op14, body22, world = (np.ascontiguousarray(values.swapaxes(0, 1)) for values in poses.values())
-    moved = np.stack([resample_positions(own, from_hz=take.rate_hz, to_hz=rate_hz) for own in op14])
+    moved = np.stack([resample_positions(positions, from_hz=take.rate_hz, to_hz=rate_hz) for positions in op14])
     turned = []
     for person in zip(body22, normalise(world), rest_m, strict=True):
         local = rotations_from_t_pose(*person)
@@ -291,7 +291,7 @@ def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> _PosesTogether:
     draws = store.read(ref, "draws", columns=["pair17_m", "take_id"])
     pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17).swapaxes(0, 1)
     take_ids = [take_id or "" for take_id in draws["take_id"]]
-    return _PosesTogether(take_ids, pairs, np.stack([bodies_of_op14(own) for own in pairs]), has_past=False)
+    return _PosesTogether(take_ids, pairs, np.stack([bodies_of_op14(people) for people in pairs]), has_past=False)
 
 
 def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:

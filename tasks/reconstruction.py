@@ -175,7 +175,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         made = [(motions.name, motions, people.camera_from_upright_rotmat) for motions in people.methods]
         if parameters.has_level_camera:
             made = [*_made_level(tracks, database, parameters), *made]
-        rows = [row for one in made for row in _rows(sequence_id, *one, database)]
+        rows = [row for of_method in made for row in _rows(sequence_id, *of_method, database)]
         judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in people.skipped.items()}
         attachments = {
             f"{sequence_id}_{person_id}.{kind}": data

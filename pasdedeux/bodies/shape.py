@@ -139,7 +139,7 @@ def _axes(rest_m: Array, joints: Mapping[str, int]) -> Array | None:
     if not (sides and middle and len(hips) == 2):
         return None
     up = normalise(rest_m[middle[0]] - rest_m[hips].mean(axis=0))
-    left = np.sum([rest_m[one] - rest_m[other] for one, other in sides], axis=0)
+    left = np.sum([rest_m[left_joint] - rest_m[right_joint] for left_joint, right_joint in sides], axis=0)
     left = left - up * (left @ up)
     if not (np.isfinite(left).all() and np.linalg.norm(left) > 1e-6):
         return None

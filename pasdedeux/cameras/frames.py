@@ -59,7 +59,7 @@ def local_frame(roots: Array, backbones: Array) -> LocalFrame:
     turned away from j, in their common plane, to 12 degrees, so that coordinates stay bounded.  Opposite backbones have
     no mean, so person A's alone is used.  Coinciding roots have no i, so it is taken square to j.
     """
-    axes = _frames(*(np.ascontiguousarray(one, dtype=np.float64).reshape(-1, 2, 3) for one in (roots, backbones)))
+    axes = _frames(*(np.ascontiguousarray(m, dtype=np.float64).reshape(-1, 2, 3) for m in (roots, backbones)))
     return LocalFrame(axes.reshape(*np.shape(roots)[:-2], 3, 3))
 
 

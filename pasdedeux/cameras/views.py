@@ -231,9 +231,9 @@ def _size_ratio(twins: _Twins, cameras: Integers, options: ViewOptions) -> tuple
     one_frame = _DEPTH_DEVIATION_M / (options.distance_m or USUAL_DISTANCE_M)
     ratio, precision = [], []
     for camera in np.unique(cameras):
-        mine = cameras == camera
-        one_sided = abs(across[mine].sum()) / max(float(np.abs(across[mine]).sum()), 1e-12)
-        ratio.append(float(np.median(apparent[mine])))
+        is_camera = cameras == camera
+        one_sided = abs(across[is_camera].sum()) / max(float(np.abs(across[is_camera]).sum()), 1e-12)
+        ratio.append(float(np.median(apparent[is_camera])))
         precision.append(1.0 / ((one_frame * one_sided) ** 2 + MIN_CALIBRATION_DEVIATION**2))
     order = np.argsort(ratio)
     cumulative = np.cumsum(np.array(precision)[order])

@@ -89,7 +89,7 @@ def in_depth_order(pair_m: Array, other_m: Array) -> Array:
     >>> in_depth_order(pair, -2.0 * pair)[:, 0, 2].round(2).tolist()
     [0.3, -0.1]
     """
-    apart, wanted = (float(one[1, PAIR17.root, 2] - one[0, PAIR17.root, 2]) for one in (pair_m, other_m))
+    apart, wanted = (float(pair[1, PAIR17.root, 2] - pair[0, PAIR17.root, 2]) for pair in (pair_m, other_m))
     if not apart * wanted < 0.0:
         return pair_m
     moved_z = 0.5 * (wanted - apart) * np.array([-1.0, 1.0])

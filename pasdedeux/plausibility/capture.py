@@ -163,7 +163,8 @@ class PersonCapture:
 
     def complaints(self, limits: Limits) -> list[Complaint]:
         """Return the complaints about figures that are past their limits."""
-        return [Complaint(level, text, one.name in _OF_TAKE) for one, level, text in complaints(self, JUDGED, limits)]
+        judged = complaints(self, JUDGED, limits)
+        return [Complaint(level, text, of_figure.name in _OF_TAKE) for of_figure, level, text in judged]
 
 
 FIGURES = figures_of(PersonCapture)
@@ -208,11 +209,11 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
     shared = [Complaint(Level.WARN, apart, is_of_take=True)] if apart else []
     complaints = [shared + person.complaints(limits) for person in people]
     everybody = [
-        one if one.is_of_take or len(people) == 1 else replace(one, text=f"{person_name(person)}: {one.text}")
-        for person, own in enumerate(complaints)
-        for one in own
+        item if item.is_of_take or len(people) == 1 else replace(item, text=f"{person_name(person)}: {item.text}")
+        for person, of_person in enumerate(complaints)
+        for item in of_person
     ]
-    return JudgedCapture(_verdict(everybody), tuple(_verdict(own) for own in complaints))
+    return JudgedCapture(_verdict(everybody), tuple(_verdict(of_person) for of_person in complaints))
 
 
 def _verdict(complaints: Sequence[Complaint]) -> Verdict:
@@ -335,12 +336,12 @@ def _floors(ankles_m: Array, toes_m: Array, *, rate_hz: float, step: int) -> tup
     is_slow = _norm(toes_m[step:] - toes_m[:-step]) * (rate_hz / step) < _STANDING.contact_speed_m_s
     is_flat = is_slow & (np.abs(foot[..., _UP]) < _FLAT * _norm(foot))
     places = [toes_m[:-step, person][is_flat[:, person]] for person in range(toes_m.shape[1])]
-    places = [own for own in places if len(own) > _FLAT_SHARE * len(foot)]
-    away = np.concatenate([own - np.median(own, axis=0) for own in places] or [np.zeros((1, 3))])
+    places = [toes for toes in places if len(toes) > _FLAT_SHARE * len(foot)]
+    away = np.concatenate([toes - np.median(toes, axis=0) for toes in places] or [np.zeros((1, 3))])
     spread = away[:, _LEVEL].T @ away[:, _LEVEL] / len(away)
     is_wide = np.linalg.eigvalsh(spread)[0] > _EXTENT_M**2
     slope = np.linalg.solve(spread, away[:, _LEVEL].T @ away[:, _UP] / len(away)) if is_wide else np.array([np.nan])
-    return np.array([np.median(own[:, _UP]) for own in places]), float(np.linalg.norm(slope))
+    return np.array([np.median(toes[:, _UP]) for toes in places]), float(np.linalg.norm(slope))
 
 
 def _skate(feet_m: Array, step: int) -> float:

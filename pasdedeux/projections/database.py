@@ -116,7 +116,7 @@ class Database:
         """
         row, yaw = np.asarray(rows, dtype=np.int64), np.asarray(yaw_index, dtype=np.float64) * self.yaw_step_rad
         if row.shape != yaw.shape:
-            row, yaw = (np.ascontiguousarray(one) for one in np.broadcast_arrays(row, yaw))
+            row, yaw = (np.ascontiguousarray(values) for values in np.broadcast_arrays(row, yaw))
         turned = _turned(self.poses_m, row.ravel(), yaw.ravel())
         return turned.reshape(*row.shape, *turned.shape[1:])
 
@@ -139,7 +139,7 @@ class Database:
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
         """Return the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""
         yaw = np.arange(self.num_yaws) * self.yaw_step_rad
-        cosine, sine = (one.astype(np.float32)[:, None] for one in (np.cos(yaw), np.sin(yaw)))
+        cosine, sine = (values.astype(np.float32)[:, None] for values in (np.cos(yaw), np.sin(yaw)))
         x, y, z = np.moveaxis(self.poses_m[first_row:last_row, None], -1, 0)
         turned = np.empty((len(x), self.num_yaws, self.num_joints, 3), dtype=np.float32)
         turned[..., 0] = cosine * x + sine * z

@@ -114,7 +114,7 @@ def cluster_places(places: Array, num_clusters: int, rng: np.random.Generator) -
     label, distance = vq(places, centroids)
     order = np.argsort(label, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-    return Clusters(np.array([own[np.argmin(distance[own])] for own in members]), tuple(members))
+    return Clusters(np.array([numbers[np.argmin(distance[numbers])] for numbers in members]), tuple(members))
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class PublishedIndex:
     def _images(self) -> tuple[Floats32, tuple[Floats32, ...]]:
         """Representatives (cluster, J, 2), and the members of each cluster (n, J, 2)."""
         images = box_images(self.database)
-        return images[self.clusters.representative], tuple(images[own] for own in self.clusters.members)
+        return images[self.clusters.representative], tuple(images[numbers] for numbers in self.clusters.members)
 
     def search(self, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Neighbours:
         """Return the 10 best projections of each of the 5 clusters nearest to each query, best first.

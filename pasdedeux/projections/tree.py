@@ -87,8 +87,8 @@ def _boxes_above(low: Floats32, high: Floats32) -> _TreeLevel:
     """Return the level above boxes (n, 2 J); empty lanes of its last node repeat the last box."""
     missing = -len(low) % _LANES
     low, high = (
-        np.concatenate([one, np.repeat(one[-1:], missing, axis=0)]).reshape(-1, _LANES, one.shape[1]).swapaxes(1, 2)
-        for one in (low, high)
+        np.concatenate([ends, np.repeat(ends[-1:], missing, axis=0)]).reshape(-1, _LANES, ends.shape[1]).swapaxes(1, 2)
+        for ends in (low, high)
     )
     middle = np.float32(0.5) * (low + high)
     # Add one part in a million to the rounded half-width, so that the box contains both ends.

@@ -55,14 +55,14 @@ def database_of_takes(
 def _database(poses_m: npt.NDArray[np.floating], pairs_m: Array, pitches_rad: Sequence[float]) -> SearchedDatabase:
     # Annotated frames are too far apart to follow the motion of a take, so each pose starts a sequence.
     count = len(poses_m)
-    made = SearchedDatabase(
+    searched = SearchedDatabase(
         Database(poses_m.astype(np.float32), np.ones(count, dtype=bool)),
         tuple(pitches_rad),
         take_ids=np.full(count, "", dtype=object),
         take_frames=np.zeros(count, dtype=np.int64),
         pairs_m=centre_pairs(pairs_m),
     )
-    return replace(made, ready=tuple(made.searchers_tried()))
+    return replace(searched, ready=tuple(searched.searchers_tried()))
 
 
 class LiftedFrames(NamedTuple):
@@ -130,6 +130,6 @@ def as_pair17(op14_m: Array, pair_m: Array) -> Array:
     spread = [np.linalg.norm(points - points.mean(axis=1, keepdims=True), axis=(1, 2)) for points in (joints, known)]
     sized = pair_m * (spread[0] / np.maximum(spread[1], 1e-9))[:, None, None]
     moved = align_rigid(sized[:, _PAIR17][:, _TORSO], joints[:, _TORSO])
-    made = np.einsum("pij,pnj->pni", moved.rotmat, sized) + moved.translation_m[:, None]
-    made[:, _PAIR17] = joints
-    return np.asarray(made)
+    pair17_m = np.einsum("pij,pnj->pni", moved.rotmat, sized) + moved.translation_m[:, None]
+    pair17_m[:, _PAIR17] = joints
+    return np.asarray(pair17_m)

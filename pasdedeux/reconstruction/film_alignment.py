@@ -88,7 +88,7 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
     longest = sorted(tracks, key=lambda track: -int((track.confidence > 0).sum()))[:_MAX_TRACKS]
     if len(longest) < num_people:
         raise InputError(f"the film shows {counted(len(longest), 'person')}, the take has {num_people}")
-    times = np.unique(np.concatenate([one.times_s for one in longest]))
+    times = np.unique(np.concatenate([track.times_s for track in longest]))
     film = _FilmPoints.of(
         longest, times[np.linspace(0, len(times) - 1, min(_NUM_TRIED_FRAMES, len(times))).astype(int)]
     )
@@ -108,7 +108,7 @@ def align_film(tracks: Sequence[Track], truth_m: Array, truth_hz: float) -> Film
     refined = [whole.refined(truth_m, truth_hz, *start[1:]) for start in tried[:_NUM_REFINED] if np.isfinite(start[0])]
     if not refined:
         raise InputError("no clock brings enough joints that the film shows together with the take")
-    best = min(refined, key=lambda one: one.residual)
+    best = min(refined, key=lambda alignment: alignment.residual)
     if best.residual > MAX_RESIDUAL:
         raise InputError(
             "under no camera and clock do the joints of the take lie on the keypoints (off by "

@@ -164,9 +164,9 @@ def reconstruct_people(
 def _is_nearer(people: ReconstructedPeople, others: ReconstructedPeople) -> bool:
     """Tell whether the matches of `people` are nearer to the image, on average over the people in both results."""
     distances = [
-        {track.person_id: float(np.nanmedian(track.score_m)) for track in found.methods[-1].people}
-        for found in (people, others)
-        if found.methods
+        {track.person_id: float(np.nanmedian(track.score_m)) for track in result.methods[-1].people}
+        for result in (people, others)
+        if result.methods
     ]
     if len(distances) < 2:
         return False

@@ -134,7 +134,7 @@ def estimate_scene(
     seen, sides = known.seen, known.sides()
     # Hands and bodies cause local minima: from one lens alone, noise of a pixel would decide which one is found.
     solutions = [
-        min((solve(known.terms(), seen, start, side=side) for start in known.starts()), key=lambda found: found.cost)
+        min((solve(known.terms(), seen, start, side=side) for start in known.starts()), key=lambda tried: tried.cost)
         for side in sides
     ]
     is_other = solutions[-1].cost + _OTHER_SIDE_COST < solutions[0].cost

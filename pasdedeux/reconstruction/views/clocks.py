@@ -77,7 +77,8 @@ def match_cameras(first: Mapping[int, Rising], second: Mapping[int, Rising], rat
     from scipy.optimize import linear_sum_assignment  # here: planning does not need it
 
     ends_s = [
-        [(one.first_s, one.first_s + len(one.speed_m_s) / rate_hz) for one in side.values()] for side in (first, second)
+        [(person.first_s, person.first_s + len(person.speed_m_s) / rate_hz) for person in side.values()]
+        for side in (first, second)
     ]
     (low, high), (other_low, other_high) = ((min(min(ends)), max(max(ends))) for ends in ends_s)
     lags = np.arange(np.floor((other_low - high) * rate_hz), np.ceil((other_high - low) * rate_hz) + 1)

@@ -103,5 +103,5 @@ def fit_person(
         off = [np.where(term.weights > 0, term.off_m(result.positions_m), np.nan) for term in rays]
         # The median of a Rayleigh distribution is 1.1774 deviations.
         noise = max(_MIN_NOISE_M, float(np.nanmedian(np.stack(off))) / 1.1774)
-        robust = [1.0 / (1.0 + (np.nan_to_num(one) / (HALF_WEIGHT * noise)) ** 2) for one in off]
+        robust = [1.0 / (1.0 + (np.nan_to_num(off_m) / (HALF_WEIGHT * noise)) ** 2) for off_m in off]
     return result.positions_m, float(np.nanmedian(np.stack(off)))

@@ -223,10 +223,10 @@ def reconstruct_views(
         bones_vary,
         is_scale_known=bool(calibration) or bool(is_stated.any()),
         left_out=tuple(
-            f"camera {name}: person {one.person_id} was left out: matches nobody reconstructed from camera {names[0]}"
+            f"camera {name}: person {other.person_id} was left out: matches nobody reconstructed from camera {names[0]}"
             for name, people, take in zip(names[1:], alone[1:], same, strict=True)
-            for one in people.methods[-1].people
-            if one.person_id not in take.person_ids
+            for other in people.methods[-1].people
+            if other.person_id not in take.person_ids
         ),
     )
 

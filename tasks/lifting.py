@@ -1,6 +1,6 @@
-"""Stage `lifting`: annotations lifted to 3D by the draws that look like them, completed, and the pairs between them.
+"""Stage `lifting`: lift annotations to 3D by draws that look like them, complete them, and fill in pairs between.
 
-Frames of a video are lifted together as well, by takes of the projection database where there are any.
+Frames of a video are also lifted together, by takes of the projection database if there are any.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ from tasks.streams import stream
 LIFTING = StageName("lifting", 16)
 
 DOUBTFUL_M = 0.15
-"""Median expected error above which lifted pairs are doubted."""
+"""Median expected error of lifted pairs above which there is a warning."""
 
 _NUM_HYPOTHESES = 8
-"""Likeliest view hypotheses of an annotation that draws compete in."""
+"""Number of likeliest view hypotheses of an annotation in which draws are compared."""
 _NUM_NAIVE = 1000
-"""Samples round each pair of the baseline naive_sampling."""
+"""Number of samples around each pair in the baseline naive_sampling."""
 
 
 class LiftingParameters(Parameters):
-    """Which annotations of a source are lifted, and how."""
+    """Settings of lifting."""
 
     max_frames: int = Field(40, ge=1, description="Annotated pairs lifted of each source of annotations, evenly spread")
     between_frames: int = Field(
@@ -75,7 +75,7 @@ class LiftingParameters(Parameters):
 
 
 class LiftingShard(LiftingParameters):
-    """Parameters of a shard: also the pitches of the cameras that see the projection database, if there is one."""
+    """Parameters of a shard, including the pitches of the projection database, if there is one."""
 
     pitches_deg: Pitches = ProjectionsParameters().pitches_deg
 
@@ -84,7 +84,7 @@ def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     """Plan a shard per artifact of annotated pairs that has views; none without draws.
 
     Raises:
-        InputError: Draws are to be compared that are not there.
+        InputError: Draws to compare are missing.
     """
     draws = [manifest for manifest in draw_manifests(inputs) if knows_annotations(manifest)]
     if not draws:
@@ -110,7 +110,7 @@ def _shard(
         read |= {"joint_limits": inputs.of("joint_limits"), "torso_basis": bases}
     parts = [(part, ProjectionFacts.of(part)) for part in inputs.of("projections")]
     if is_video(SequenceFacts.of(annotated)):
-        # Draws of a database are among those that are read anyway, and what they lift errs otherwise.
+        # Draws of a database are read anyway, and pairs lifted by them have other errors.
         takes = [part for part, facts in parts if facts.origin == "take"]
         read["projections"] = [part for part in takes if not shares_takes(annotated, part)]
     pitches = {pitch for _, facts in parts for pitch in facts.pitches_deg}
@@ -165,7 +165,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
-    """Return how far the nearest draws are from the images, beside the mean of all draws."""
+    """Return the verdict by the distance of the nearest draws from the images, against the mean of all draws."""
     distance = {
         method: [row["residual_m"] for row in rows if row["method"] == method] for method in ("nearest", "mean_pair")
     }
@@ -193,20 +193,20 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
 
 @kept()
 def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet, DrawIndex]:
-    """Return the draws and their index; the shards that one worker runs in a row share them."""
+    """Return the draws and their index, shared by the shards that a worker runs in a row."""
     draws = read_all_draws(store, refs)
     return draws, DrawIndex(draws.pairs_m)
 
 
 @kept()
 def _compared(store: Store, refs: tuple[ArtifactRef, ...], names: tuple[str, ...]) -> dict[str, DrawIndex]:
-    """Return an index over the draws of each of these names alone."""
+    """Return an index over the draws of each name."""
     compared_refs = [ref for ref in refs if density_of(store.manifest(ref)) in names]
     return {name: DrawIndex(found.pairs_m) for name, found in read_draw_sets(store, compared_refs).items()}
 
 
 def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[PairPlace, PairPlace]]:
-    """Return two places each of one pair, spread over all: `gap` frames apart, or key frames up to twice that."""
+    """Return evenly spread spans of one pair each: `gap` frames apart, or between key frames up to twice that."""
     there = set(places)
     spans = [(place, place._replace(frame=place.frame + gap)) for place in places]
     spans = [span for span in spans if span[1] in there]
@@ -221,9 +221,9 @@ def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[
 def _searched(
     store: Store, database: tuple[ArtifactRef, ...], draws: tuple[ArtifactRef, ...], pitches_deg: Pitches
 ) -> tuple[SearchedDatabase, bool]:
-    """Return what frames of a camera are matched to, made ready once for all shards of a worker, and if it is of draws.
+    """Return the database for frames of a camera, shared by the shards of a worker, and whether it is made of draws.
 
-    These are takes of a database; draws and grown pairs if it has no pairs.
+    It is made of takes of the projection database; of draws and grown pairs if that has no pairs.
     """
     pitches = np.deg2rad(pitches_deg).tolist()
     if len(pairs_m := read_pairs(store, database)):
@@ -234,7 +234,7 @@ def _searched(
 def _over_time(
     shard: Shard, store: Store, places: Sequence[PairPlace], wanted: set[PairPlace], pitches_deg: Pitches
 ) -> dict[PairPlace, Together]:
-    """Return both people at the wanted ones of these places of videos, from them and some between."""
+    """Return both people at the wanted places of videos, reconstructed from these and other places."""
     facts = SequenceFacts.of(store.manifest(shard.ref("annotations")))
 
     def database() -> SearchedDatabase:
@@ -255,15 +255,15 @@ def lift_again(
     moment: tuple[str, int],
     points_px: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pair (2, 17, 3) that the annotation of a sequence and frame is lifted to, and that of other points.
+    """Lift the annotation of a sequence and frame, and again with other points; return both pairs (2, 17, 3).
 
     Args:
         store: Store.
         annotations: Artifact of the annotation.
-        views: Its views, which stay as they are.
-        at_hand: Artifacts; those with draws or grown pairs are used.
+        views: Its views, the same for both.
+        at_hand: Artifacts, of which those with draws or grown pairs are used.
         moment: Sequence and frame.
-        points_px: Points (2, 17, 2), pixels, in place of those annotated.
+        points_px: Points (2, 17, 2), pixels, that replace the annotated ones.
 
     Raises:
         InputError: There are no draws, or the annotation shows too little or has no view.
@@ -285,9 +285,9 @@ def lift_again(
 
 
 def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> dict[tuple[str, int, int], list[int]]:
-    """Return which draws were lifted from which annotation, by sequence, frame and person A.
+    """Return the draws lifted from each annotation, by sequence, frame and person A.
 
-    Couples that share person A are one here: what was lifted from either is of the same person at the same moment.
+    Couples that share person A are not distinguished, because they show the same person at the same moment.
     """
     names = ["seed_index", "sequence_id", "sequence_frame", "sequence_person_id", "filled_from"]
     images: dict[int, tuple[str, int, int]] = {}
@@ -317,7 +317,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
 def _baselines(
     shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[PairPlace, SeenPair]
 ) -> list[Row]:
-    """Lift whole annotations without draws, where the study asks for it."""
+    """Lift complete annotations without draws, by the baselines of the study."""
     options = shard.options(LiftingShard)
     whole = [seen.image_m for seen in every.values() if seen.is_seen.all()]
     if not options.baselines or not whole:

@@ -36,9 +36,9 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 RECONSTRUCTION = StageName("reconstruction", 25)
 
 LEVEL = "level"
-"""Name of what is made as if the camera were level."""
+"""Name of the baseline that assumes a level camera."""
 _MAX_KEPT = 1_250_000
-"""Projections before all cameras that a worker keeps from shard to shard, at most: 160 MB."""
+"""Largest number of projections, over all cameras, that a worker keeps from shard to shard: 160 MB."""
 
 
 class SequenceSettings(Parameters):
@@ -61,10 +61,10 @@ class ReconstructionParameters(SequenceSettings):
 
 
 class SequenceShard(SequenceSettings):
-    """Parameters of a shard: its sequence, how, and what was stated of it.
+    """Parameters of a shard: its sequence, settings, and stated facts.
 
-    A film with a captured take of it is made again by the last method as if the camera were level, first of all: the
-    baseline `level`.
+    A film with a captured take is also reconstructed by the last method with a level camera: the baseline `level`,
+    which comes first.
     """
 
     sequence_id: str
@@ -74,7 +74,7 @@ class SequenceShard(SequenceSettings):
 
 
 def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shard]:
-    """Plan a shard per video sequence, with every projections artifact that has not seen the sequence's take."""
+    """Plan a shard per video sequence, with all projections except those of the sequence's take."""
     shards = []
     databases, annotations = inputs.of("projections"), inputs.of("annotations")
     others: dict[str, list[Manifest]] = {}
@@ -117,7 +117,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     """Refuse the method `published` over a database without clusters.
 
     Raises:
-        InputError: Says what to set.
+        InputError: The key num_clusters of [projections] is not set.
     """
     projections = sections.get("projections")
     if Method.PUBLISHED in sections["reconstruction"].methods and projections and not projections.num_clusters:
@@ -132,7 +132,7 @@ def _is_wanted(manifest: Manifest, sequences: str) -> bool:
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Reconstruct every person of a sequence with every method; people who cannot be are named in the facts."""
+    """Reconstruct every person of a sequence with every method; facts name the people who could not be."""
     (annotations, *others), database_refs = shard.refs("annotations"), shard.refs("projections")
     parameters, manifests = shard.options(SequenceShard), [store.manifest(ref) for ref in database_refs]
     sequence_id, manifest = parameters.sequence_id, store.manifest(annotations)
@@ -214,10 +214,10 @@ def _reconstruct_together(
     stated: StatedCamera,
     parameters: SequenceShard,
 ) -> SeenTogether:
-    """Return the people of a take that others saw beside the camera that has these tracks.
+    """Return the people of a take that other cameras saw beside the first, which has these tracks.
 
     Raises:
-        InputError: A camera shows nobody, its images have another shape than those of the calibration, or as
+        InputError: A camera shows nobody, its images differ in shape from those of the calibration, or an error of
             `reconstruct_views`.
     """
     seen, names, calibration = [tracks], [parameters.sequence_id], list[CalibratedCamera]()
@@ -240,10 +240,10 @@ def _reconstruct_together(
 
 
 def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[Track], list[str]]:
-    """Return the tracks of a sequence in its steady image, by person, and why there are none if it is no video."""
+    """Return the tracks of a sequence in its steady image, or the reasons why it is no video."""
     table = store.read(ref, "annotations", columns=["sequence_id", *TRACK_COLUMNS])
     frames = np.asarray(table["frame"])[table["sequence_id"] == sequence_id]
-    # What ingest decided counts: stills numbered one by one look like a video by their numbers alone.
+    # The decision of ingest counts, because stills numbered one by one look like a video.
     decided = SequenceFacts.of(store.manifest(ref)).why_no_video.get(sequence_id)
     if reason := decided or (why_no_video(frames) if len(frames) else ""):
         return [], [reason]
@@ -252,7 +252,7 @@ def read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> tuple[list[
 
 
 def read_subtracted_motion(store: Store, ref: ArtifactRef, sequence_id: str) -> CameraMotion | None:
-    """Return the motion of the camera of a sequence; None where none was subtracted before it was reconstructed."""
+    """Return the camera motion that was subtracted before the reconstruction of a sequence; None if none was."""
     motion = read_camera_motion(store, ref, sequence_id)
     if motion is None:
         return None
@@ -263,7 +263,7 @@ def read_subtracted_motion(store: Store, ref: ArtifactRef, sequence_id: str) -> 
 def _database(
     store: Store, refs: tuple[ArtifactRef, ...], clusters: tuple[ArtifactRef, ...], *, num_people: int
 ) -> SearchedDatabase:
-    """Return the projection database; a worker makes what shards share ready once, if it is small."""
+    """Return the projection database; if it is small, a worker keeps its searchers for all shards."""
     num_rows = sum(store.manifest(ref).tables["projections"].rows for ref in refs)
     num_cameras = len(read_cameras([store.manifest(ref) for ref in refs]))
     is_small = num_cameras * num_rows * Database.num_yaws <= _MAX_KEPT
@@ -290,7 +290,7 @@ def _options(parameters: SequenceShard) -> SequenceOptions:
 def _made_level(
     tracks: Sequence[Track], database: SearchedDatabase, parameters: SequenceShard
 ) -> list[tuple[str, MethodMotions, np.ndarray]]:
-    """Return what the last method makes of the people if the camera is taken to be level; none if nobody matches."""
+    """Return the motions of the last method with a level camera; none if nobody matches."""
     camera = StatedCamera(0.0, parameters.camera_height_m)
     options = replace(_options(parameters), methods=parameters.methods[-1:])
     people = reconstruct_sequence(tracks, database, camera, options).people

@@ -75,9 +75,7 @@ def read_bvh_joints(data: bytes | str) -> tuple[float | None, list[tuple[Skeleto
     skeleton, places = file.hierarchy.skeleton, file.hierarchy.positions(file.values)
     is_several = skeleton.joint_names[skeleton.root] == _SEVERAL
     for root in skeleton.children(skeleton.root) if is_several else (skeleton.root,):
-        kept = [root]
-        for joint in kept:
-            kept.extend(skeleton.children(joint))
+        kept = skeleton.branch(root)
         parents = tuple(kept.index(skeleton.parents[joint]) if joint != root else -1 for joint in kept)
         names = tuple(skeleton.joint_names[joint] for joint in kept)
         trees.append((Skeleton(skeleton.name, names, parents), places[:, kept]))

@@ -72,9 +72,8 @@ class BvhHierarchy:
             FormatError: A joint moves by more; the joint, the frame and the amount are named.
         """
         root = self._root(values, person)
-        chain = self._above(root)
-        below = self._below(root)
-        kept = [joint for joint in range(self.skeleton.num_joints) if joint in below]
+        chain = self.skeleton.path(root)[:-1]
+        kept = sorted(self.skeleton.branch(root))
         names, parents = self.skeleton.joint_names, self.skeleton.parents
         skeleton = self.skeleton
         if chain:
@@ -89,7 +88,7 @@ class BvhHierarchy:
         constant = carried[0] if np.abs(carried - carried[0]).max() < 1e-12 else identity_unitquat()
         if chain:
             offsets = rotate(np.broadcast_to(constant, (len(offsets), 4)), offsets)
-        said = (*notes, *self._left_out(root, below), *fixed)
+        said = (*notes, *self._left_out(root), *fixed)
         ends = frozenset(names[joint] for joint in kept) & self.end_sites
         if is_head:
             return SourceMotion.at_rest(skeleton, offsets, rate_hz=rate_hz, notes=said)
@@ -165,14 +164,14 @@ class BvhHierarchy:
         others = f" (and {num_moving - 1} more, by less)" if num_moving > 1 else ""
         return offsets, [f"{most}{others}: fixed at the median"] * bool(num_moving)
 
-    def _left_out(self, root: int, below: frozenset[int]) -> list[str]:
+    def _left_out(self, root: int) -> list[str]:
         """Name the branches beside the root on the nodes above it."""
         notes = []
         if self.num_people > 1:
             notes.append(f"the file holds {self.num_people} people, this is the one of '{self._name(root)}'")
-        used = {*below, *self._above(root), *(joint for body in self._bodies for joint in self._below(body))}
-        used |= {joint for body in self._bodies for joint in self._above(body)}
-        beside = [name for joint, name in enumerate(self.skeleton.joint_names) if joint not in used]
+        skeleton = self.skeleton
+        used = {joint for body in (root, *self._bodies) for joint in (*skeleton.path(body), *skeleton.branch(body))}
+        beside = [name for joint, name in enumerate(skeleton.joint_names) if joint not in used]
         if beside := [name for name in beside if name not in self.end_sites]:
             more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
             notes.append(f"joint '{beside[0]}'{more} beside '{self._name(root)}' left out")
@@ -190,7 +189,7 @@ class BvhHierarchy:
             moving = [joint for joint in chain[1:] if np.ptp(self._place(joint, values), axis=0).any()]
             return moving[-1] if moving else chain[0]
         body = self._bodies[person]
-        chain = [*self._above(body), body]
+        chain = self.skeleton.path(body)
         moving = [at for at, joint in enumerate(chain[1:], 1) if np.ptp(self._place(joint, values), axis=0).any()]
         normal = normal_names(self.skeleton.joint_names)
         hips = [
@@ -201,20 +200,6 @@ class BvhHierarchy:
     def _children(self, joint: int) -> list[int]:
         """Return the children of a joint that are no End Sites."""
         return [child for child in self.skeleton.children(joint) if self._name(child) not in self.end_sites]
-
-    def _above(self, joint: int) -> list[int]:
-        """Return the joints above another, from the file's root."""
-        above: list[int] = []
-        while (joint := self.skeleton.parents[joint]) >= 0:
-            above.insert(0, joint)
-        return above
-
-    def _below(self, joint: int) -> frozenset[int]:
-        """Return a joint and all below it."""
-        joints = [joint]
-        for parent in joints:
-            joints.extend(self.skeleton.children(parent))
-        return frozenset(joints)
 
     @cached_property
     def _limbs(self) -> list[list[int]]:
@@ -250,5 +235,5 @@ class BvhHierarchy:
         """Tell whether limbs leave a joint, or the first below it that has several, one of which has limbs itself."""
         while len(self._limbs[joint]) == 1:
             joint = self._limbs[joint][0]
-        below = [other for limb in self._limbs[joint] for other in self._below(limb)]
+        below = [other for limb in self._limbs[joint] for other in self.skeleton.branch(limb)]
         return any(len(self._limbs[other]) > 1 for other in below)

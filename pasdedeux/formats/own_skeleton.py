@@ -260,10 +260,7 @@ class OwnSkeleton:
     def _below(self) -> list[frozenset[int]]:
         """For each joint of the source those that move when it turns."""
         skeleton = self.motion.skeleton
-        below: list[set[int]] = [set() for _ in skeleton.joint_names]
-        for joint in reversed(skeleton.order[1:]):
-            below[skeleton.parents[joint]] |= {joint} | below[joint]
-        return [frozenset(joints) for joints in below]
+        return [frozenset(skeleton.branch(joint)[1:]) for joint in range(skeleton.num_joints)]
 
     @cached_property
     def _ends(self) -> dict[int, tuple[int, bool]]:

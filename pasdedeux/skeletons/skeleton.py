@@ -78,10 +78,7 @@ class Skeleton:
     @cached_property
     def order(self) -> tuple[int, ...]:
         """Joint indices from the root outwards, every parent before its children."""
-        order = [self.parents.index(-1)]
-        for joint in order:
-            order.extend(self.children(joint))
-        return tuple(order)
+        return tuple(self.branch(self.root))
 
     @cached_property
     def bones(self) -> tuple[tuple[int, int], ...]:
@@ -91,6 +88,20 @@ class Skeleton:
     def children(self, joint: int) -> tuple[int, ...]:
         """Return the indices of a joint's children."""
         return self._children[joint]
+
+    def branch(self, joint: int) -> list[int]:
+        """Return a joint and all joints below it, every parent before its children."""
+        branch = [joint]
+        for parent in branch:
+            branch.extend(self.children(parent))
+        return branch
+
+    def path(self, joint: int) -> list[int]:
+        """Return the joints from the root to a joint, both included."""
+        path = [joint]
+        while self.parents[path[0]] >= 0:
+            path.insert(0, self.parents[path[0]])
+        return path
 
     @cached_property
     def _children(self) -> tuple[tuple[int, ...], ...]:

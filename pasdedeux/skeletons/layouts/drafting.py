@@ -151,13 +151,6 @@ _WORDS = _vocabulary()
 
 
 @dataclass(frozen=True)
-class _Branch:
-    """A way through the tree, from the joint that two limbs share to a leaf."""
-
-    path: tuple[int, ...]
-
-
-@dataclass(frozen=True)
 class _Triple:
     """Places on a branch where a limb starts, bends and ends, its length, and how unlike a limb it is."""
 
@@ -166,6 +159,8 @@ class _Triple:
     cost: float
 
 
+_Branch = tuple[int, ...]
+"""A path through the tree, from the joint that two limbs share to a leaf."""
 _Pair = tuple[_Branch, _Branch]
 
 
@@ -212,7 +207,7 @@ class _Drafting:
         used = self._joints(legs) | self._joints(arms)
         for kind, known in (("leg", legs), ("arm", arms)):
             length = self._triple(kind, known).length
-            others = [pair for pair in pairs if pair[0].path[0] != known[0].path[0] and not self._joints(pair) & used]
+            others = [pair for pair in pairs if pair[0][0] != known[0][0] and not self._joints(pair) & used]
             if not any(abs(np.log(self._triple(kind, pair).length / length)) < _LIKE_PEOPLE for pair in others):
                 return False
         return True
@@ -270,8 +265,8 @@ class _Drafting:
             for first, second in combinations([way for way in ways if self._lengths[way].sum() > _LIMB * body], 2):
                 alike = self._num_alike(first, second)
                 if alike:
-                    pairs.append((_Branch((joint, *first[:alike])), _Branch((joint, *second[:alike]))))
-        return sorted(pairs, key=lambda pair: -float(self._lengths[list(pair[0].path[1:])].sum()))[:_MOST_PAIRS]
+                    pairs.append(((joint, *first[:alike]), (joint, *second[:alike])))
+        return sorted(pairs, key=lambda pair: -float(self._lengths[list(pair[0][1:])].sum()))[:_MOST_PAIRS]
 
     def _num_alike(self, first: Sequence[int], second: Sequence[int]) -> int:
         """Return how many bones from the start of two ways are alike; 0 where that is less than a limb.
@@ -286,7 +281,7 @@ class _Drafting:
         return alike if alike >= 3 and bones[0][:alike].sum() > _MOST_OF_A_LIMB * total else 0
 
     def _joints(self, pair: _Pair) -> set[int]:
-        return {joint for branch in pair for joint in branch.path[1:]}
+        return {joint for branch in pair for joint in branch[1:]}
 
     def _cost(self, people: tuple[_Pair, _Pair]) -> float:
         """Return how little one pair are legs and the other arms: by proportions, and by a head between the arms."""
@@ -302,7 +297,7 @@ class _Drafting:
             pair: The ways.
             length: What the limb should measure, where that is known.
         """
-        ways = [list(branch.path) for branch in pair]
+        ways = [list(branch) for branch in pair]
         at = np.mean([np.cumsum(np.concatenate([[0.0], self._lengths[way[1:]]])) for way in ways], axis=0)
         apart = [self.positions[:, way, None] - self.positions[:, None, way] for way in ways]
         chords = np.mean([np.median(np.linalg.norm(vectors, axis=-1), axis=0) for vectors in apart], axis=0)
@@ -323,16 +318,16 @@ class _Drafting:
 
     def _limb(self, kind: str, branch: _Branch, places: tuple[int, int, int]) -> dict[str, int]:
         """Return the joints of a limb by their parts, by names where they tell it; ends of bones by the tree."""
-        path, parts = branch.path, ARM if kind == "arm" else LEG
-        inner = [at for at in range(1, len(path)) if not self._normal[path[at]][1].endswith(_END_WORDS)]
-        named = [[at for at in inner if self._means(path[at]) == {part}] for part in parts]
+        parts = ARM if kind == "arm" else LEG
+        inner = [at for at in range(1, len(branch)) if not self._normal[branch[at]][1].endswith(_END_WORDS)]
+        named = [[at for at in inner if self._means(branch[at]) == {part}] for part in parts]
         told = [found[0] if len(found) == 1 else place for found, place in zip(named, places, strict=True)]
         start, _, end = told = told if told[0] < told[1] < told[2] else list(places)
-        limb = {part: path[place] for part, place in zip(parts, told, strict=True)}
+        limb = {part: branch[place] for part, place in zip(parts, told, strict=True)}
         if kind == "arm" and start > 1:
-            limb["collar"] = path[start - 1]
-        if kind == "leg" and end + 1 < len(path):
-            toe = path[end + 1]
+            limb["collar"] = branch[start - 1]
+        if kind == "leg" and end + 1 < len(branch):
+            toe = branch[end + 1]
             shin = self.positions[:, limb["ankle"]] - self.positions[:, limb["knee"]]
             foot = self.positions[:, toe] - self.positions[:, limb["ankle"]]
             across = np.linalg.norm(np.cross(foot, shin), axis=-1) / np.maximum((shin**2).sum(axis=-1), 1e-12)
@@ -369,7 +364,7 @@ class _Drafting:
 
     def _trunk(self, legs: _Pair, arms: _Pair, limbs: Mapping[str, Sequence[Mapping[str, int]]]) -> dict[str, int]:
         """Return pelvis, neck and skull as far as there are joints for them."""
-        node, chest = legs[0].path[0], arms[0].path[0]
+        node, chest = legs[0][0], arms[0][0]
         trunk = {} if node == chest else {"pelvis": node}
         head = self._head(legs, arms)
         if len(head) > 1 and self._normal[head[-1]][1].endswith(_END_WORDS):
@@ -395,16 +390,9 @@ class _Drafting:
 
     def _head(self, legs: _Pair, arms: _Pair) -> list[int]:
         """Return the longest way between the arms that does not lead to the legs."""
-        used = {arms[0].path[1], arms[1].path[1], legs[0].path[1], legs[1].path[1], *self._above(legs[0].path[0])}
-        ways = [self._longest(child) for child in self.skeleton.children(arms[0].path[0]) if child not in used]
+        used = {*(branch[1] for branch in (*arms, *legs)), *self.skeleton.path(legs[0][0])}
+        ways = [self._longest(child) for child in self.skeleton.children(arms[0][0]) if child not in used]
         return max(ways, key=lambda way: float(self._lengths[way].sum()), default=[])
-
-    def _above(self, joint: int) -> set[int]:
-        """Return a joint and all joints above it."""
-        above = {joint}
-        while (joint := self.skeleton.parents[joint]) >= 0:
-            above.add(joint)
-        return above
 
 
 def _units(vectors: Array) -> Array:

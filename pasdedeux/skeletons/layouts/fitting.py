@@ -238,10 +238,7 @@ class LayoutFit:
     def _ancestors(self, entry: Entry) -> list[int]:
         """Return the joint with the greatest weight and all joints above it, itself first."""
         name = entry if isinstance(entry, str) else max(entry, key=lambda name: entry[name])
-        path = [self.skeleton.index(name)]
-        while self.skeleton.parents[path[-1]] >= 0:
-            path.append(self.skeleton.parents[path[-1]])
-        return path
+        return self.skeleton.path(self.skeleton.index(name))[::-1]
 
     def _toe(self, side: str, parts: Mapping[str, Entry], points: dict[str, AddedPoint]) -> Entry:
         """Return the ball of a foot: what hangs from the ankle and does not go on as the shin does; else a guess."""
@@ -273,7 +270,7 @@ class LayoutFit:
 
     def _carried(self, name: str, joint: int, vector: Array, points: dict[str, AddedPoint]) -> str:
         """Add a point that a joint carries, as far from it as this vector at rest; gives its name."""
-        chain = self._ancestors(self.skeleton.joint_names[joint])
+        chain = reversed(self.skeleton.path(joint))
         unit = next((above for above in chain if self._lengths[above] > self._short), int(np.argmax(self._lengths)))
         while name in self.skeleton.joint_names:
             name += "_point"

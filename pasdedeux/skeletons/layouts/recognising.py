@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -209,13 +210,9 @@ def _hang_together(parts: Mapping[str, Entry], skeleton: Skeleton) -> bool:
 
     for side in SIDES:
         for limb in (ARM, LEG):
-            at = joint(f"{side}_{limb[-1]}")
-            for part in reversed(limb[:-1]):
-                above = joint(f"{side}_{part}")
-                while at >= 0 and at != above:
-                    at = skeleton.parents[at]
-                if at < 0:
-                    return False
+            joints = [joint(f"{side}_{part}") for part in limb]
+            if not all(above in skeleton.path(below) for above, below in pairwise(joints)):
+                return False
     return True
 
 

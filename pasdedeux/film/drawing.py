@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array
 from pasdedeux.film.tracking import Image
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
 from pasdedeux.people.identity import body_size_px
@@ -98,12 +98,6 @@ def moving_svg(images: Sequence[Image], rate_hz: float) -> bytes:
             )
         parts.append("</image>")
     return "".join([*parts, "</svg>"]).encode()
-
-
-def evenly(numbers: Integers, count: int) -> list[int]:
-    """Return so many of the different numbers, evenly spread over them."""
-    known = np.unique(numbers)
-    return [int(one) for one in known[np.unique(np.linspace(0, len(known) - 1, count).round().astype(int))]]
 
 
 def _blur_face(image: Image, op14_px: Array, height_px: float) -> None:

@@ -15,6 +15,8 @@ import numpy as np
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.film.tracking import Tracks
 from pasdedeux.formats.annotated_frames import KeypointStatus
+from pasdedeux.skeletons.layouts.names import SIDES
+from pasdedeux.skeletons.skeleton import ARM, LEG
 
 # Lengths are shares of the size of the person in the image (about its height).
 _TRACK_DEVIATION, _CURVE_DEVIATION = 0.015, 0.06
@@ -31,11 +33,7 @@ _MIN_FOLLOWED = 3
 """Joints of a person that are followed, by which the others are taken along."""
 _MAX_STRETCH = 1.1
 """A limb may be so much longer than at any of its known places."""
-_LIMBS = tuple(
-    (f"{side}_{parent}", f"{side}_{child}")
-    for side in ("left", "right")
-    for parent, child in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
-)
+_LIMBS = [bone for side in SIDES for limb in (ARM, LEG) for bone in pairwise(f"{side}_{joint}" for joint in limb)]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import Draft, Layout, draft_mapping, find_layout
 from pasdedeux.skeletons.skeleton import by_side
@@ -98,7 +99,7 @@ def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGue
         return _axis_of_leaves(source, positions)
     feet, neck = body[:, _ANKLES].mean(axis=1), body[:, BODY22.index("neck")]
     stature = float(np.median(np.linalg.norm(neck - feet, axis=-1)))
-    stands = _axis_of(_directions(neck - feet).mean(axis=0))
+    stands = _axis_of(normalise(neck - feet).mean(axis=0))
     at_rest = _axis_at_rest(source, layout)
     is_other = at_rest.confidence > _CLEARLY and at_rest.axis != stands.axis
     if is_other and stands.confidence < _CLEARLY:
@@ -122,8 +123,8 @@ def _axis_at_rest(source: SourceMotion, layout: Layout | None) -> AxisGuess:
     _, body = _sample(source.rest, layout)
     assert body is not None
     feet, hips, neck = body[0, _ANKLES].mean(axis=0), body[0, _HIPS].mean(axis=0), body[0, BODY22.index("neck")]
-    stands = _directions(neck - hips) @ _directions(hips - feet) > _STANDS
-    return _axis_of(_directions(neck - feet)) if stands else AxisGuess("y", 0.0)
+    stands = normalise(neck - hips) @ normalise(hips - feet) > _STANDS
+    return _axis_of(normalise(neck - feet)) if stands else AxisGuess("y", 0.0)
 
 
 def _axis_of(direction: Array) -> AxisGuess:
@@ -158,10 +159,10 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
     feet = body[:, _ANKLES]
     up = body[:, BODY22.index("neck")] - body[:, _HIPS].mean(axis=1)
     left = sum(body[:, pair[0]] - body[:, pair[1]] for pair in (_HIPS, _SHOULDERS))
-    front = _directions(np.cross(left, up))[:, None]
+    front = normalise(np.cross(left, up))[:, None]
     entries = [layout.tables[BODY22.name][joint] for joint in _TOE_NAMES]
     told = [at for at, entry in enumerate(entries) if entry in source.skeleton.joint_names]
-    toes = (_directions(body[:, _TOES] - feet)[:, told] * front).sum(axis=-1)
+    toes = (normalise(body[:, _TOES] - feet)[:, told] * front).sum(axis=-1)
     knees = body[:, _KNEES] - (body[:, _HIPS] + feet) / 2.0
     legs = np.linalg.norm(body[:, _HIPS] - feet, axis=-1)
     bent = (knees * front).sum(axis=-1) / np.where(legs > 0, legs, 1.0)
@@ -229,11 +230,6 @@ def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array |
     if layout is None:
         return positions, None
     return positions, body_map(layout, source.skeleton, source.rest_offsets).positions(positions, world)
-
-
-def _directions(vectors: Array) -> Array:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
 def _body_height(source: SourceMotion, layout: Layout | None) -> float:

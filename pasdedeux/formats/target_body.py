@@ -16,13 +16,12 @@ from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
 from pasdedeux.formats.text import Lines, check_range, decode, parse_json, parse_number
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.skeleton import ARM, LEG, by_side
 
 Distances = Mapping[tuple[int, int], float]
 """Metres between two joints of body22, by their indices."""
 
-NEEDED = [
-    f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-]
+NEEDED = by_side("left", *LEG, *ARM)
 """Joints that positions of a body must have; what others are not there is scaled like the rest of the body."""
 OTHER_NAMES = {f"{side}_foot": f"{side}_toe" for side in ("left", "right")}
 """Names of SMPL's joints that body22 calls otherwise; all others are the same."""
@@ -126,9 +125,8 @@ def fit_body(target: TargetBody, own_skeleton: OwnSkeleton, lengths_m: Array, *,
     asked = target.of(layout)
     pairs, wanted = np.array(list(asked)), np.array(list(asked.values()))
     chains = np.zeros((BODY22.num_joints, BODY22.num_joints))  # of joint i, 1 for the bones between it and the root
-    for joint in BODY22.order[1:]:
-        chains[joint] = chains[BODY22.parents[joint]]
-        chains[joint, joint] = 1.0
+    for joint in range(BODY22.num_joints):
+        chains[joint, BODY22.path(joint)[1:]] = 1.0
     between = chains[pairs[:, 1]] - chains[pairs[:, 0]]
     scale = np.ones(BODY22.num_joints)
 

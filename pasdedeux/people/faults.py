@@ -24,7 +24,7 @@ from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.identity_kernels import MIN_TRUST
 from pasdedeux.skeletons import OP14
 
-_ARMS, _LEGS = OP14.arms[0], OP14.legs[0]
+_ARMS, _LEGS = ([*left, *right] for left, right in (OP14.arms, OP14.legs))
 _EXCHANGED_LIMBS = tuple(limb[1:] for limb in OP14.limbs)
 _MIRROR = np.array(OP14.mirror)
 _SIDE_STATES = 4
@@ -123,9 +123,8 @@ def repair_sides(keypoints_px: Array, *, rate_hz: float) -> Integers:
     for state in range(_SIDE_STATES):
         for bit, side in ((1, _ARMS), (2, _LEGS)):
             if state & bit:
-                joints = np.concatenate([side, _MIRROR[np.array(side)]])
-                sources[state, joints] = _MIRROR[joints]
-    used = np.concatenate([_ARMS, _MIRROR[np.array(_ARMS)], _LEGS, _MIRROR[np.array(_LEGS)]])
+                sources[state, side] = _MIRROR[side]
+    used = [*_ARMS, *_LEGS]
     states = keypoints_px[:, sources][:, :, used]
     changed = np.array([np.count_nonzero(source != np.arange(14)) for source in sources]) / len(used)
     path = _smoothest(states, changed, track_size_px(keypoints_px), rate_hz)

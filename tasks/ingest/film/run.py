@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from pasdedeux.errors import named
-from pasdedeux.film.drawing import contact_sheet, draw_people, evenly, moving_svg
+from pasdedeux.film.drawing import contact_sheet, draw_people, moving_svg
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.people.decisions import check_sequences
 from pasdedeux.people.resolution import ResolvedPeople
+from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
 from tasks.ingest.film.resolution import annotate, find_shots, read_shot, shot_images
@@ -82,7 +83,7 @@ def _read(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Annotate
 
 def _pictures(parameters: FilmParameters, files: tuple[SourceFile, ...], frames: AnnotatedFrames) -> dict[str, bytes]:
     """Return a sheet of images of a shot and a short clip from its middle, people drawn and faces blurred."""
-    on_sheet = evenly(frames.frame, _SHEET_IMAGES)
+    on_sheet = some_of(np.unique(frames.frame).tolist(), _SHEET_IMAGES)
     middle = int(np.median(frames.frame))
     in_clip = range(middle - _CLIP_IMAGES, middle + _CLIP_IMAGES, 2)
     first = parameters.first_number + parameters.first_frame

@@ -21,6 +21,10 @@ MIN_SEEN = 0.5
 """A keypoint of no more confidence, such as COCO's labelled but hidden one, is a place, but nothing to be tracked."""
 
 
+_MIN_GAP = 5
+"""Frames that lie nearer to each other are corrected by one correction."""
+
+
 @dataclass(frozen=True)
 class AnnotatedShot:
     """Annotations of all frames of a shot.
@@ -237,7 +241,7 @@ def _median(values: Array, otherwise: float) -> float:
     return float(np.median(finite)) if len(finite) else otherwise
 
 
-def frames_to_correct(shot: AnnotatedShot, count: int, *, min_gap: int = 5) -> list[int]:
+def frames_to_correct(shot: AnnotatedShot, count: int) -> list[int]:
     """Return the frames whose correction helps most, most first: where tracks and known places disagree most.
 
     Frames of which one corrects the other are named once.
@@ -249,6 +253,6 @@ def frames_to_correct(shot: AnnotatedShot, count: int, *, min_gap: int = 5) -> l
     for index in np.argsort(-doubt, kind="stable").tolist():
         if len(chosen) == count or doubt[index] <= 0:
             break
-        if all(abs(int(number[index]) - frame) >= min_gap for frame in chosen):
+        if all(abs(int(number[index]) - frame) >= _MIN_GAP for frame in chosen):
             chosen.append(int(number[index]))
     return chosen

@@ -73,7 +73,7 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
         time_s: Time stamps (frame,) of the shot.
         rate_hz: The rate.
     """
-    numbers, people, befores, afters, shares = [], [], [], [], []
+    parts: list[tuple[Array | Integers, ...]] = []
     for person in np.unique(frames.person_id).tolist():
         rows = np.flatnonzero(frames.person_id == person)
         times_s = time_s[frames.frame[rows] - first_frame]
@@ -82,13 +82,10 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
         high_at = np.minimum(low_at + 1, len(times_s) - 1)
         gap_s = np.maximum(times_s[high_at] - times_s[low_at], 1e-9)
         is_near = frames.frame[rows[high_at]] - frames.frame[rows[low_at]] <= 1
-        numbers.append(wanted[is_near].astype(np.int64))
-        people.append(np.full(np.count_nonzero(is_near), person))
-        befores.append(rows[low_at][is_near])
-        afters.append(rows[high_at][is_near])
-        shares.append(np.clip((wanted / rate_hz - times_s[low_at]) / gap_s, 0.0, 1.0)[is_near])
-    number, person_id, before, after = (np.concatenate(parts) for parts in (numbers, people, befores, afters))
-    share = np.concatenate(shares)
+        share = np.clip((wanted / rate_hz - times_s[low_at]) / gap_s, 0.0, 1.0)
+        columns = (wanted.astype(np.int64), np.full(len(wanted), person), rows[low_at], rows[high_at], share)
+        parts.append(tuple(column[is_near] for column in columns))
+    number, person_id, before, after, share = (np.concatenate(column) for column in zip(*parts, strict=True))
     low, high = frames.keypoints_px[before], frames.keypoints_px[after]
     nearest = np.where(share < 0.5, before, after)
     # A frame that lies on the grid needs no other.

@@ -75,6 +75,10 @@ _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 """Sequences name files and partitions later on."""
 
 
+_ROWS = ("frame", "person_id", "keypoints_px", "confidence")
+"""Arrays of `AnnotatedFrames` with a row for each person in a frame."""
+
+
 class KeypointStatus(IntEnum):
     """Where a keypoint comes from; what comes from a person or a detector is `DETECTED` or more."""
 
@@ -178,11 +182,8 @@ class AnnotatedFrames:
         return replace(
             self,
             sequence_id=tuple(name for name, kept in zip(self.sequence_id, chosen, strict=True) if kept),
-            frame=self.frame[chosen],
-            person_id=self.person_id[chosen],
-            keypoints_px=self.keypoints_px[chosen],
-            confidence=self.confidence[chosen],
             status=None if self.status is None else self.status[chosen],
+            **{name: getattr(self, name)[chosen] for name in _ROWS},
         )
 
     @property
@@ -213,10 +214,7 @@ def join_frames(parts: Sequence[AnnotatedFrames]) -> AnnotatedFrames:
     return replace(
         parts[0],
         sequence_id=tuple(name for part in parts for name in part.sequence_id),
-        frame=np.concatenate([part.frame for part in parts]),
-        person_id=np.concatenate([part.person_id for part in parts]),
-        keypoints_px=np.concatenate([part.keypoints_px for part in parts]),
-        confidence=np.concatenate([part.confidence for part in parts]),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS},
         status=np.concatenate(statuses) if len(statuses) == len(parts) else None,
         image_size_px={name: size for part in parts for name, size in part.image_size_px.items()},
         focal_px={name: focal for part in parts for name, focal in part.focal_px.items()},

@@ -30,9 +30,9 @@ from pasdedeux.formats.annotated_frames import (
     KeypointStatus,
     get_keypoint_layout,
 )
-from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange, names_in_order, number_people
+from pasdedeux.formats.detections import MAX_CONFIDENCE, arrange, detections_of_joints, number_people
 from pasdedeux.formats.file_format import AnnotationFormat
-from pasdedeux.formats.text import MISSING, Lines, parse_integer, parse_number, shorten
+from pasdedeux.formats.text import Lines, parse_cell, parse_integer, parse_number, shorten
 from pasdedeux.plain_text import csv_line, from_cell
 from pasdedeux.skeletons.layouts import KeypointLayout
 
@@ -74,18 +74,12 @@ def read_annotation_csv(
             joints = people.setdefault((from_cell(row.get("sequence", "")) or sequence_id, frame, person), {})
             if row["joint"] in joints:
                 raise FormatError(f"'{shorten(row['joint'])}' twice for person {person} in frame {frame}")
-            x, y = (math.nan if row[axis].lower() in MISSING else parse_number(row[axis], axis) for axis in "xy")
+            x, y = (parse_cell(row[axis], axis) for axis in "xy")
             confidence = parse_number(row.get("confidence", "1") or "0", "confidence", 0, MAX_CONFIDENCE)
             joints[row["joint"]] = (x, y, confidence, _status_of(row["status"]) if "status" in row else math.nan)
     if not people:
         raise FormatError("this annotation table has no rows")
-    names = names_in_order(name for joints in people.values() for name in joints)
-    missing = (math.nan, math.nan, 0.0, float(KeypointStatus.MISSING))
-    detections = []
-    for (sequence, frame, person), joints in people.items():
-        table = np.array([joints.get(name, missing) for name in names])
-        status = None if np.isnan(table[:, 3]).any() else tuple(table[:, 3].astype(int).tolist())
-        detections.append(Detection((sequence, frame), person, table[:, :3], f"frame {frame}", status, names))
+    detections = detections_of_joints(people)
     arranged = arrange(detections, layout, is_strict=True)
     numbers, has_identities, remarks = number_people(detections)
     sequences = tuple(detection.place[0] for detection in detections)

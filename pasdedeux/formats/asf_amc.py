@@ -20,7 +20,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.euler import turn_joints, unitquat_from_euler
 from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import MAX_MAGNITUDE, Lines, parse_integer, parse_number, parse_numbers, shorten
+from pasdedeux.formats.text import MAX_MAGNITUDE, Lines, floats_of, parse_integer, parse_number, parse_numbers, shorten
 from pasdedeux.kinematics.rotations import conjugate, multiply
 from pasdedeux.skeletons import Skeleton
 
@@ -252,10 +252,7 @@ def _read_rows(data: bytes | str, columns: Mapping[str, tuple[int, int]]) -> tup
             if name not in columns:
                 raise FormatError(f"bone '{shorten(name)}' is not in the ASF skeleton")
             start, stop = columns[name]
-            try:
-                numbers = list(map(float, words[1:]))
-            except ValueError:
-                numbers = []
+            numbers = floats_of(words[1:])
             if len(numbers) != stop - start or not sum(map(abs, numbers)) <= MAX_MAGNITUDE:
                 numbers = parse_numbers(words[1:], f"bone '{name}'", stop - start)
             if numbers and rows[-1][start] == rows[-1][start]:  # not NaN: it has been there

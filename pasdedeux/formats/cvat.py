@@ -14,13 +14,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import (
-    MAX_IMAGE_PX,
-    AnnotatedFrames,
-    KeypointStatus,
-    get_keypoint_layout,
-)
-from pasdedeux.formats.detections import Detection, join_detections, names_in_order
+from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, AnnotatedFrames, KeypointStatus, get_keypoint_layout
+from pasdedeux.formats.detections import detections_of_joints, join_detections
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.image_names import Place, places_of_names
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
@@ -29,7 +24,7 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 OCCLUDED = 0.5
 """Confidence of an occluded point, as of COCO's labelled but hidden one."""
 
-Point = tuple[float, float, float, int]
+Point = tuple[float, float, float, float]
 
 
 def read_cvat(
@@ -43,7 +38,7 @@ def read_cvat(
     root = parse_xml(data, "CVAT file")
     if root.tag != "annotations":
         raise FormatError(f"this CVAT file begins with <{shorten(root.tag)}>, not <annotations>")
-    rows: dict[tuple[str, int, int], dict[str, Point]] = {}
+    rows: dict[tuple[str, int, int | str], dict[str, Point]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     for index, track in enumerate(root.iterfind("track")):
         person = parse_integer(track.get("id", str(index)), f"track {index}: id")
@@ -67,13 +62,7 @@ def read_cvat(
         sizes[""] = _size(stated.findtext("width", ""), stated.findtext("height", ""), "annotation 0: original_size")
     if not rows:
         raise FormatError("this CVAT file is empty: it holds no skeletons")
-    names = names_in_order(name for points in rows.values() for name in points)
-    missing = (np.nan, np.nan, 0.0, KeypointStatus.MISSING)
-    detections = []
-    for (video, frame, person), points in rows.items():
-        table = np.array([points.get(name, missing) for name in names])
-        status = tuple(table[:, 3].astype(int).tolist())
-        detections.append(Detection((video, frame), person, table[:, :3], f"frame {frame}", status, names))
+    detections = detections_of_joints(rows)
     frames = join_detections(detections, sequence_id=sequence_id, layout=layout, sizes_px=sizes, is_strict=True)
     return replace(frames, has_identities=has_numbers)
 
@@ -124,8 +113,8 @@ def parse_xml(data: bytes | str, what: str) -> ElementTree.Element:
 
 
 def _add(
-    rows: dict[tuple[str, int, int], dict[str, Point]],
-    key: tuple[str, int, int],
+    rows: dict[tuple[str, int, int | str], dict[str, Point]],
+    key: tuple[str, int, int | str],
     skeleton: ElementTree.Element,
     *,
     is_key: bool,

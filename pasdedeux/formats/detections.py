@@ -23,6 +23,7 @@ from pasdedeux.formats.annotated_frames import (
     MAX_STRETCH,
     RATE_HZ,
     AnnotatedFrames,
+    KeypointStatus,
     get_keypoint_layout,
     stretch,
 )
@@ -367,6 +368,23 @@ def names_in_order(names: Iterable[str], *, first: int | None = None) -> tuple[s
     front = next(match[1] for match in numbers if match)
     start = min(1, *by_number, 1) if first is None else first
     return tuple(by_number.get(number, f"{front}{number}") for number in range(start, max(by_number) + 1))
+
+
+def detections_of_joints(
+    people: Mapping[tuple[str, int, int | str], Mapping[str, tuple[float, float, float, float]]],
+) -> list[Detection]:
+    """Return detections of people, by video, frame and number, whose joints have names.
+
+    A joint has x, y, confidence and `KeypointStatus`.  Where the status of one is NaN, the person has none.
+    """
+    names = names_in_order(name for joints in people.values() for name in joints)
+    missing = (math.nan, math.nan, 0.0, float(KeypointStatus.MISSING))
+    detections = []
+    for (video, frame, person), joints in people.items():
+        table = np.array([joints.get(name, missing) for name in names])
+        status = None if np.isnan(table[:, 3]).any() else tuple(table[:, 3].astype(int).tolist())
+        detections.append(Detection((video, frame), person, table[:, :3], f"frame {frame}", status, names))
+    return detections
 
 
 def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tuple[str, ...]]:

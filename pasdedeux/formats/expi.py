@@ -15,7 +15,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.positions_as_motion import source_from_positions
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import Lines, parse_numbers
+from pasdedeux.formats.text import Lines, floats_of, parse_numbers
 from pasdedeux.skeletons import EXPI18
 from pasdedeux.skeletons.skeleton import by_joint
 
@@ -53,16 +53,7 @@ def read_expi(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMot
 def _is_expi(start: FileStart) -> bool:
     """Tell whether a line of names is followed by one of 108 numbers, separated by commas."""
     names, _, rest = start.text.partition("\n")
-    values = rest.partition("\n")[0].split(",")
-    return any(map(str.isalpha, names)) and len(values) == _NUM_VALUES and all(map(_is_number, values))
-
-
-def _is_number(token: str) -> bool:
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
+    return any(map(str.isalpha, names)) and len(floats_of(rest.partition("\n")[0].split(","))) == _NUM_VALUES
 
 
 EXPI = MotionFormat(

@@ -164,14 +164,7 @@ class MotionFormat(FileFormat):
         if self.head and number == 0:
             return self.head(data, companion)
         source = self.read_person(number, data, companion)
-        rest = SourceMotion.at_rest(
-            source.skeleton,
-            source.rest_offsets,
-            rate_hz=source.rate_hz,
-            metres_per_unit=source.metres_per_unit,
-            notes=source.notes,
-        )
-        return MotionHead(rest, source.num_frames)
+        return MotionHead(source.rest, source.num_frames)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,16 @@ from pasdedeux.formats.detections import (
 )
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.image_names import Place, places_of_names
-from pasdedeux.formats.text import MAX_COUNT, MISSING, Lines, decode, parse_json, parse_number, parse_triples, shorten
+from pasdedeux.formats.text import (
+    MAX_COUNT,
+    Lines,
+    decode,
+    parse_cell,
+    parse_json,
+    parse_number,
+    parse_triples,
+    shorten,
+)
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, KeypointLayout
 
@@ -368,15 +377,11 @@ def _plain(column: str) -> str:
 
 
 def _value(row: Mapping[str, str], key: str | None) -> float:
-    return 1.0 if key is None else _number(row[key], key)
+    return 1.0 if key is None else parse_cell(row[key], key)
 
 
 def _person(token: str, what: str) -> int | str:
     return token if any(map(str.isalpha, token)) else _count(token, what)
-
-
-def _number(token: str, what: str) -> float:
-    return math.nan if token.lower() in MISSING else parse_number(token, what)
 
 
 def _count(token: str, what: str) -> int:

@@ -68,8 +68,9 @@ class SourceMotion:
 
     @cached_property
     def rest(self) -> SourceMotion:
-        """One frame of its rest pose."""
-        return SourceMotion.at_rest(self.skeleton, self.rest_offsets)
+        """One frame of its rest pose, the root at the origin."""
+        still = identity_unitquat(1, self.skeleton.num_joints)
+        return replace(self, root_translation=np.zeros((1, 3)), local_unitquat=still)
 
     def frames(self, start: int, stop: int) -> SourceMotion:
         """Return frames `start` to `stop` (exclusive)."""

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,7 +21,7 @@ MAX_MAGNITUDE = 1e7
 MAX_COUNT = 1_000_000_000
 """Greatest frame number, person number or count that a file may hold."""
 
-MISSING = frozenset({"", "nan", "null", "none", "na", "n/a"})
+_MISSING = frozenset({"", "nan", "null", "none", "na", "n/a"})
 """How tables write that there is no number, in lower case."""
 
 _FEW_FRAMES, _FEW_SHARE = 10, 0.05
@@ -232,6 +232,19 @@ def parse_number(token: str, what: str, low: float = -MAX_MAGNITUDE, high: float
     if not math.isfinite(value):
         raise FormatError(f"{what}: '{shorten(token)}' is not a finite number")
     return check_range(value, what, low, high)
+
+
+def parse_cell(token: str, what: str) -> float:
+    """Return the number of a cell of a table; NaN where it says that there is none."""
+    return math.nan if token.lower() in _MISSING else parse_number(token, what)
+
+
+def floats_of(words: Iterable[str]) -> list[float]:
+    """Return the numbers that words spell, also infinite ones and NaN; none where a word is no number."""
+    try:
+        return list(map(float, words))
+    except ValueError:
+        return []
 
 
 def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.detections import Detection
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.text import Lines, parse_number
+from pasdedeux.formats.text import Lines, floats_of, parse_number
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT, USUAL_LAYOUTS
 
@@ -64,11 +64,8 @@ def _form(values: np.ndarray) -> tuple[int, int]:
 def _is_yolo(start: FileStart) -> bool:
     """Tell whether the first line is a whole number and shares of an image, more than a box."""
     words = start.first_row.split()
-    try:
-        values = np.array([float(word) for word in words])
-    except ValueError:
-        return False
-    if len(words) < _BOX + 2 * min(LAYOUTS_OF_COUNT) or not words[0].isdigit():
+    values = np.array(floats_of(words))
+    if len(values) < _BOX + 2 * min(LAYOUTS_OF_COUNT) or not words[0].isdigit():
         return False
     shares = values[1 : _BOX + 2 * ((len(values) - _BOX) // 3)]
     return bool((np.abs(shares) <= _MAX_SHARE).all() and (shares[:4] > 0).all() and (shares[:4] <= 1).all())

@@ -7,7 +7,7 @@ could be either of them, they are one person.  Where less agrees, it is a questi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -121,7 +121,7 @@ def _nearest(breaks: Sequence[Break]) -> list[Break]:
         if any(one.before == other.before or one.after == other.after for other in broken):
             continue
         rivals = [other for other in breaks if other.before == one.before or other.after == one.after]
-        broken.append(one if len(rivals) == 1 else Break(one.before, one.after, one.first_frame, one.last_frame, False))
+        broken.append(one if len(rivals) == 1 else replace(one, is_clear=False))
     return broken
 
 
@@ -131,5 +131,5 @@ def join_breaks(sequence_id: str, breaks: Sequence[Break]) -> list[Decision]:
     rows = []
     for one in sorted((broken for broken in breaks if broken.is_clear), key=lambda broken: broken.first_frame):
         first[one.after] = first.get(one.before, one.before)
-        rows.append(Decision(sequence_id, one.first_frame, one.last_frame, one.after, first[one.after]))
+        rows.append(replace(one.joined(sequence_id), is_person=first[one.after]))
     return rows

@@ -63,6 +63,11 @@ class IngestParameters(Parameters):
     )
     virtual_video: VirtualVideoOptions = Field(VirtualVideoOptions(), description="Virtual cameras over the takes")
 
+    @property
+    def sources_2d(self) -> tuple[AnnotationOptions | FilmOptions, ...]:
+        """Sources of 2D poses: annotations, then film."""
+        return (*self.annotations, *self.videos)
+
     @model_validator(mode="after")
     def _check(self) -> Self:
         # What lies in a folder is looked up when its path is known, while planning.
@@ -77,14 +82,11 @@ class IngestParameters(Parameters):
             ValueError: Says which, and what is there.
         """
         ids = self.take_ids()
-        for kind, names in (
-            ("take", ids),
-            ("annotation source", [source.id for source in (*self.annotations, *self.videos)]),
-        ):
+        for kind, names in (("take", ids), ("annotation source", [source.id for source in self.sources_2d])):
             double = sorted(name for name, count in Counter(names).items() if count > 1)
             if double:
                 raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")
-        sources = {source.id: source for source in (*self.annotations, *self.videos)}
+        sources = {source.id: source for source in self.sources_2d}
         for source in sources.values():
             if source.camera_of and (source.camera_of not in sources or sources[source.camera_of].camera_of):
                 firsts = ", ".join(
@@ -101,11 +103,7 @@ class IngestParameters(Parameters):
                     f"calibration of '{source.id}' is of several cameras, and no other source has "
                     f"camera_of = '{source.id}'; state it for the source that camera_of names"
                 )
-        named = [
-            *self.held_out,
-            *self.prior,
-            *(source.take_id for source in (*self.annotations, *self.videos) if source.take_id),
-        ]
+        named = [*self.held_out, *self.prior, *(source.take_id for source in self.sources_2d if source.take_id)]
         awaited = self.awaited()
         for name in named:
             if name not in ids and name not in awaited:
@@ -120,7 +118,7 @@ class IngestParameters(Parameters):
         """Return the duets: those named, or the default ones when nothing else comes in."""
         if self.duets is not None:
             return tuple(take for entry in self.duets for take in entry.takes())
-        if self.takes or self.pairs or self.annotations or self.videos:
+        if self.takes or self.pairs or self.sources_2d:
             return ()
         return tuple(DuetOptions(name=name) for name in DEFAULT_DUETS)
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Sequence
 
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.calibration import calibrated_camera, choose_cameras, read_calibration
 from pasdedeux.people.video import check_one_video
 from tasks.ingest.common import INGEST
 from tasks.ingest.files import load_file
+from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import find_videos
 from tasks.ingest.parameters import IngestParameters, SkippedParameters
 from tasks.ingest.poses2d.parameters import AnnotationParameters
-from tasks.ingest.poses2d.resolution import find_annotations
+from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
 from tasks.ingest.takes.plan import plan_takes
 from tasks.ingest.virtual_video.plan import plan_virtual_video
 from tasks.stage import Shard, StageInputs
-
-_Source = TypeVar("_Source", bound=AnnotationParameters)
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -36,28 +35,22 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         shards.append(take)
         shards.extend(plan_virtual_video(inputs, parameters, take))
     calibrations, found_of = _calibrations(parameters), dict[str, list[str]]()
-    for options in parameters.annotations:
-        waiting: dict[str, str] | None = {} if options.is_watched else None
-        for found in find_annotations(
-            options,
-            is_held_out=options.take_id in parameters.held_out,
-            skipped=waiting,
-            take_seconds=parameters.take_seconds,
-        ):
-            planned, files, notes = found.parameters, found.files, found.notes
-            planned = _calibrated(planned, calibrations.get(options.id))
+    take_seconds = parameters.take_seconds
+    for options in parameters.sources_2d:
+        is_held_out, waiting = options.take_id in parameters.held_out, dict[str, str]()
+        cameras: Sequence[FoundAnnotations]
+        if isinstance(options, FilmOptions):
+            kind, cameras = "film", find_videos(options, is_held_out=is_held_out, take_seconds=take_seconds)
+        else:
+            skipped, kind = waiting if options.is_watched else None, "annotations"
+            cameras = find_annotations(options, is_held_out=is_held_out, skipped=skipped, take_seconds=take_seconds)
+        for camera in cameras:
+            planned = _calibrated(camera.parameters, calibrations.get(options.id))
             found_of.setdefault(options.id, []).append(planned.id)
-            shards.append(INGEST.shard(inputs, planned.id, "annotations", planned, files=files, notes=notes))
+            shards.append(INGEST.shard(inputs, planned.id, kind, planned, files=camera.files, notes=camera.notes))
         if waiting:
             shards.append(INGEST.shard(inputs, options.id, "skipped", SkippedParameters(skipped=waiting)))
-    for film in parameters.videos:
-        is_held_out = film.take_id in parameters.held_out
-        for shot in find_videos(film, is_held_out=is_held_out, take_seconds=parameters.take_seconds):
-            planned, files, notes = shot.parameters, shot.files, shot.notes
-            planned = _calibrated(planned, calibrations.get(film.id))
-            found_of.setdefault(film.id, []).append(planned.id)
-            shards.append(INGEST.shard(inputs, planned.id, "film", planned, files=files, notes=notes))
-    for source in (*parameters.annotations, *parameters.videos):
+    for source in parameters.sources_2d:
         for name in (source.id, source.camera_of) if source.camera_of else ():
             check_one_video(f"camera {name}", found_of.get(name, []))
     return shards
@@ -70,11 +63,10 @@ def _calibrations(parameters: IngestParameters) -> dict[str, tuple[str, str]]:
         InputError: A file is missing or mangled, or does not fit the cameras.
     """
     found: dict[str, tuple[str, str]] = {}
-    sources = (*parameters.annotations, *parameters.videos)
-    for source in sources:
+    for source in parameters.sources_2d:
         if source.calibration is None:
             continue
-        names = [source.id, *(other.id for other in sources if other.camera_of == source.id)]
+        names = [source.id, *(other.id for other in parameters.sources_2d if other.camera_of == source.id)]
         data = load_file(source.calibration).data
         with named(f"calibration of '{source.id}', {source.calibration.name}"):
             cameras, _ = choose_cameras(read_calibration(data), names)
@@ -83,7 +75,7 @@ def _calibrations(parameters: IngestParameters) -> dict[str, tuple[str, str]]:
     return found
 
 
-def _calibrated(parameters: _Source, calibration: tuple[str, str] | None) -> _Source:
+def _calibrated(parameters: AnnotationParameters, calibration: tuple[str, str] | None) -> AnnotationParameters:
     """Return a source with its camera in a calibration.
 
     Raises:

@@ -18,8 +18,8 @@ from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, correct_keyp
 from pasdedeux.film.detectors import load_detector
 from pasdedeux.film.shots import at_constant_rate
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
-from pasdedeux.formats.detections import UNKNOWN, Detection, Footage, join_detections
-from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations, read_annotations
+from pasdedeux.formats.detections import Detection, Footage, join_detections
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations
 from pasdedeux.skeletons import PAIR17
 from tasks.ingest.files import find_file, read_again
 from tasks.ingest.film.detector_files import find_network
@@ -27,7 +27,7 @@ from tasks.ingest.film.parameters import FilmOptions, FilmParameters
 from tasks.ingest.film.readers import Film, first_shown, image_at, is_film, open_film, read_film
 from tasks.ingest.poses2d.parameters import SOURCE_FILES
 from tasks.ingest.poses2d.readers import VIDEO_SUFFIXES, find_cameras, is_named_after
-from tasks.ingest.poses2d.resolution import own_layout_of
+from tasks.ingest.poses2d.resolution import own_layout_of, read_given
 from tasks.stage import SourceFile
 
 ASSUMED_RATE_HZ = 30.0
@@ -44,11 +44,6 @@ class FoundShot:
     files: tuple[SourceFile, ...]
     film: Film
     notes: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Name of the film."""
-        return Path(self.files[-1].path).name
 
 
 def find_shots(
@@ -209,7 +204,7 @@ def _given(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Annotat
         frames = _detected(parameters, files)
         frames = clean_annotations(frames, stated=stated, min_confidence=parameters.min_confidence)
     else:
-        frames = _read_given(parameters, files[: parameters.num_given], stated)
+        frames = read_given(parameters, files[: parameters.num_given], stated)
     size = frames.image_size_px.get(frames.sequence_id[0])
     names = (parameters.id,) * frames.num_rows
     focal = dict.fromkeys((parameters.id,) if frames.focal_px else (), next(iter(frames.focal_px.values()), 0.0))
@@ -227,22 +222,6 @@ def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Anno
             detections += [Detection(("", number), None, table, f"frame {number}") for table in tables]
     frames = join_detections(detections, sequence_id=parameters.id, layout=parameters.keypoint_layout())
     return replace(frames, status=np.where(frames.confidence > 0, KeypointStatus.DETECTED, 0))
-
-
-def _read_given(
-    parameters: FilmParameters, files: tuple[SourceFile, ...], stated: Footage, *, video: Footage = UNKNOWN
-) -> AnnotatedFrames:
-    return read_annotations(
-        ANNOTATION_FORMATS[parameters.format],
-        {Path(file.path).name: read_again(file) for file in files},
-        source_id=parameters.id,
-        layout=parameters.keypoint_layout(),
-        stated=stated,
-        video=video,
-        min_confidence=parameters.min_confidence,
-        skip_unreadable=parameters.on_unreadable == "skip",
-        frame_offset=parameters.frame_offset,
-    )
 
 
 def _films_of(options: FilmOptions) -> list[tuple[str, Path, Path | None]]:
@@ -335,7 +314,7 @@ def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, optio
     with named(given.name):
         parameters = shot.parameters
         files = shot.files[: parameters.num_given]
-        frames = _read_given(parameters, files, Footage(film.image_size_px))
+        frames = read_given(parameters, files, Footage(film.image_size_px))
         if frames.rate_hz and max(frames.rate_hz / rate_hz, rate_hz / frames.rate_hz) > _MAX_RATE_RATIO:
             raise InputError(
                 f"it is about a film of {frames.rate_hz:g} Hz, but this one has {rate_hz:.6g}; if the film states a "

@@ -194,20 +194,33 @@ def _find_camera(
     return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
 
 
-@lru_cache(maxsize=16)
-def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
-    """Read a source; the last few are remembered, because a study is planned several times in a run."""
-    frames = read_annotations(
+def read_given(
+    parameters: AnnotationParameters, files: tuple[SourceFile, ...], stated: Footage, *, video: Footage = UNKNOWN
+) -> AnnotatedFrames:
+    """Read files of 2D poses with the choices of their shard; see `read_annotations`.
+
+    Raises:
+        InputError: A file is mangled or has changed.
+    """
+    return read_annotations(
         ANNOTATION_FORMATS[parameters.format],
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
         layout=parameters.keypoint_layout(),
-        stated=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
-        video=Footage(parameters.video_size_px, parameters.video_rate_hz),
+        stated=stated,
+        video=video,
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
         frame_offset=parameters.frame_offset,
     )
+
+
+@lru_cache(maxsize=16)
+def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
+    """Read a source; the last few are remembered, because a study is planned several times in a run."""
+    stated = Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg)
+    video = Footage(parameters.video_size_px, parameters.video_rate_hz)
+    frames = read_given(parameters, files, stated, video=video)
     if parameters.take_seconds is None:
         return frames
     return frames.start_of_each(max(2, round(parameters.take_seconds * (frames.rate_hz or DEFAULT_RATE_HZ))))

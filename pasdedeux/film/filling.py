@@ -107,10 +107,8 @@ def fill_points(
                 candidates.append((curve[inside], np.where(is_curve, deviation**2, np.inf)))
             else:
                 reach = _MAX_ONE_SIDED_S * rate_hz
-                after, before = (
-                    (inside - start if start >= 0 else np.inf),
-                    (stop - inside if stop < len(px) else np.inf),
-                )
+                after = inside - start if start >= 0 else np.inf
+                before = stop - inside if stop < len(px) else np.inf
                 # Where it is known to be hidden, and behind that as seen from its known place, it is not.
                 is_cut = np.logical_or.accumulate(hidden), np.logical_or.accumulate(hidden[::-1])[::-1]
                 for (_, variance), away, cut in zip(candidates, (after, before), is_cut, strict=True):

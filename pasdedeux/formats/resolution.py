@@ -146,7 +146,9 @@ def resolve_up_axes(
     for at in free:
         guess = guesses[at]
         is_clear = stands_alone[at] and guess.confidence >= SURE
-        if guess.axis == common.axis or not (is_clear and _rest_axis(sources[at], layouts[at]) == guess.axis):
+        if guess.axis == common.axis or not (
+            is_clear and guess_up_axis(sources[at].rest, layouts[at]).axis == guess.axis
+        ):
             guesses[at] = common
     return guesses
 
@@ -160,8 +162,3 @@ def mend_of_mirror(exchanged: Sequence[bool]) -> str:
     if all(exchanged):
         return 'set mirrored = true, or "names" where the scene is right and only names are exchanged'
     return 'set mirrored = "names", because others of the take are right'
-
-
-def _rest_axis(source: SourceMotion, layout: Layout | None) -> str:
-    """Return the axis along which the rest pose stands."""
-    return guess_up_axis(source.rest, layout).axis

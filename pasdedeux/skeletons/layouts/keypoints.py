@@ -14,6 +14,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons.layouts.joint_names import find_keypoints
+from pasdedeux.skeletons.layouts.layout import mixed
 from pasdedeux.skeletons.mapping import Weights
 from pasdedeux.skeletons.skeleton import ARM, LEG, by_side
 from pasdedeux.skeletons.working import OP14, PAIR17, WORKING_SKELETONS
@@ -150,12 +151,6 @@ def _own(joints: Iterable[str]) -> dict[str, Recipe]:
     return {joint: ({joint: 1.0},) for joint in joints}
 
 
-def _mix(low: Weights, low_weight: float, high: Weights, high_weight: float) -> Weights:
-    return {name: weight * low_weight for name, weight in low.items()} | {
-        name: weight * high_weight for name, weight in high.items()
-    }
-
-
 def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
     """Return a layout with limbs, something of the head, and perhaps neck, middle of the hips and feet."""
     names = tuple(told["keypoints"].split())
@@ -164,7 +159,7 @@ def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
     neck: Recipe = ({"neck": 1.0}, _MID_SHOULDER) if "neck" in names else (_MID_SHOULDER,)
 
     def between(fraction: float) -> Recipe:
-        return tuple(_mix(low, 1.0 - fraction, high, fraction) for low in pelvis for high in neck)
+        return tuple(mixed([(low, 1.0 - fraction), (high, fraction)]) for low in pelvis for high in neck)
 
     trunk = {"pelvis": pelvis, "spine": between(1.0 / 3.0), "chest": between(2.0 / 3.0), "neck": neck}
     # Data sets without a face mark the base of the neck; op14's neck is the middle of the shoulders.
@@ -204,8 +199,8 @@ _OP14_2D = KeypointLayout(
         PAIR17.name: {
             **_own((*_LIMBS, "neck", "head")),
             "pelvis": (_MID_HIP,),
-            "spine": (_mix(_MID_HIP, 2.0 / 3.0, {"neck": 1.0}, 1.0 / 3.0),),
-            "chest": (_mix(_MID_HIP, 1.0 / 3.0, {"neck": 1.0}, 2.0 / 3.0),),
+            "spine": (mixed([(_MID_HIP, 2.0 / 3.0), ("neck", 1.0 / 3.0)]),),
+            "chest": (mixed([(_MID_HIP, 1.0 / 3.0), ("neck", 2.0 / 3.0)]),),
         },
         OP14.name: _own(OP14.joint_names),
         "feet4": {},

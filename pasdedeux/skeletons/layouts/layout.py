@@ -103,7 +103,7 @@ def working_tables(parts: Mapping[str, Entry]) -> dict[str, Table]:
     }
 
 
-def mixed(shares: Iterable[tuple[Entry, float]]) -> Entry:
+def mixed(shares: Iterable[tuple[Entry, float]]) -> dict[str, float]:
     """Return the weighted sum of entries."""
     total: dict[str, float] = {}
     for entry, share in shares:

@@ -51,7 +51,8 @@ def _fitting_name(skeleton: Skeleton) -> str | None:
     if not fitting:
         return None
     fitting = [layout for layout in fitting if layout is not _LAST] or fitting
-    return max(fitting, key=lambda layout: _fullness(layout, joints)).name
+    # The one of which most parts are there, less those that are not.
+    return max(fitting, key=lambda layout: 2 * len(_in_file(layout, joints)) - len(layout.parts)).name
 
 
 def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
@@ -214,12 +215,6 @@ def _hang_together(parts: Mapping[str, Entry], skeleton: Skeleton) -> bool:
             if not all(above in skeleton.path(below) for above, below in pairwise(joints)):
                 return False
     return True
-
-
-def _fullness(layout: Layout, joints: Mapping[str, str]) -> int:
-    """Return how many parts a file has of a layout, less those that it lacks."""
-    has = len(_in_file(layout, joints))
-    return has - (len(layout.parts) - has)
 
 
 def _fitted(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from math import ceil
 from pathlib import Path
 
@@ -188,7 +187,7 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
             find_person(path, person.over(take), parameters.mappings, number=take.files[:at].count(path))
             for at, (path, person) in enumerate(zip(take.files, _options(take), strict=True))
         ]
-        spans = _spans(take, people, parameters.take_seconds)
+        persons = _cut(take, people, parameters.take_seconds)
         objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
         _check_things(people, objects, contacts)
     layouts = {person.parameters.layout for person in people}
@@ -200,9 +199,7 @@ def _take_shard(inputs: StageInputs, parameters: IngestParameters, take: TakeOpt
         source=credit_of(people, take.licence, take.credit),
         capture=parameters.capture,
         floor=take.floor,
-        persons=tuple(
-            person.parameters.model_copy(update=asdict(span)) for person, span in zip(people, spans, strict=True)
-        ),
+        persons=persons,
         mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
         objects_sha256=objects.file.sha256 if objects else "",
         contacts_sha256=contacts.file.sha256 if contacts else "",
@@ -232,18 +229,10 @@ def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, co
         check_contacts(stated, name=file_name, num_frames=num_frames, num_people=len(people), objects=things)
 
 
-@dataclass(frozen=True)
-class _Span:
-    """Frames of a person's file that are read, and the time of the take's first frame after the first of them."""
+def _cut(take: TakeOptions, people: Sequence[PersonSource], take_seconds: float | None) -> tuple[PersonParameters, ...]:
+    """Return everybody with the part of their file that is of the take, all of one duration.
 
-    first_frame: int
-    num_frames: int
-    start_s: float
-
-
-def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: float | None) -> list[_Span]:
-    """Return the part of each person's file that is of the take, all of one duration, or refuse files that do not fit.
-
+    Files that do not fit are refused.
     `frames` are those of person A's file; of a file of another rate they are those of the same time.
     """
     rates = one_rate([person.parameters.rate_hz for person in people])
@@ -276,13 +265,14 @@ def _spans(take: TakeOptions, people: Sequence[PersonSource], take_seconds: floa
     duration = min(durations)
     if take_seconds is not None:
         duration = min(duration, max(2, round(take_seconds * rates[0])) / rates[0])
-    spans = []
+    parts = []
     for person, begin, rate_hz in zip(people, begins, rates, strict=True):
         first = int(begin + _ALMOST)
         start = max(begin - first, 0.0) if begin - first > _ALMOST else 0.0
         count = min(person.num_frames - first, ceil(start + duration * rate_hz - _ALMOST) + (start > 0))
-        spans.append(_Span(first, count, start / rate_hz))
-    return spans
+        part = {"first_frame": first, "num_frames": count, "start_s": start / rate_hz}
+        parts.append(person.parameters.model_copy(update=part))
+    return tuple(parts)
 
 
 def _options(take: TakeOptions) -> list[PersonOptions]:

@@ -1,4 +1,4 @@
-"""2D annotations as a file gives them, and whether they look like people."""
+"""2D annotations as read from a file, and checks that they look like people."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, USUAL_LAYOUTS, KeypointLayout
 
-# Greatest length of a segment as a share of the diagonal of everything seen of a person.  Wide enough for crouching,
-# bending and people cut off at the waist; far too small for a keypoint that belongs to another part of the body.
+# Maximum length of a segment as a share of the diagonal of a person's box.  Large enough for people who crouch, bend or
+# are cut off at the waist; far too small for a keypoint that belongs to another part of the body.
 _LEFT_SEGMENTS = {
     ("nose", "left_eye"): 0.35,
     ("left_eye", "left_ear"): 0.35,
@@ -40,39 +40,39 @@ _SEGMENTS = {
     **{(a.replace("left", "right"), b.replace("left", "right")): share for (a, b), share in _LEFT_SEGMENTS.items()},
 }
 MIN_CONFIDENCE = 0.2
-"""Keypoints of less are doubtful in the usual scale, where 1 is plain to see."""
+"""Keypoints of a lower confidence are doubtful, in the usual scale, where 1 is clearly visible."""
 USUAL_SCALE = (MIN_CONFIDENCE, 1.5)
-"""95th percentile of the confidences of a source whose scale is taken as it is: a bad video comes to 0.3 too, but
-below the first nothing would be left."""
+"""Range of the 95th percentile of confidences in which the scale of a source is kept.  A bad video reaches only 0.3;
+below the first value no keypoint would be left."""
 MAX_SHARE = 2.0
 MAX_NEGATIVE = 0.2
-"""Shares of the image: greatest coordinate, and greatest part of the coordinates below 0 (3D ones come to a half)."""
+"""Maximum coordinate, in image sizes, and maximum share of negative coordinates (about half of 3D ones are)."""
 MAX_HIPS_AT_ORIGIN = 0.02
-"""Distance of the hips from the origin of 3D landmarks, which is there."""
+"""Maximum distance of the hips from the origin for coordinates to be 3D landmarks, whose origin is there."""
 MAX_OTHER_SHAPE = 0.02
-"""Difference of the aspect ratios of two sizes of one video: sides are whole pixels."""
+"""Maximum difference of the aspect ratios of two sizes of one video, whose sides are rounded to pixels."""
 MARGIN, DOUBTED_OUTSIDE, MAX_OUTSIDE = 0.05, 0.05, 0.2
-"""Shares of the image by which people leave it, and of the sure keypoints further outside: doubted, and at most."""
+"""Margin around the image, in image sizes; shares of sure keypoints beyond it that cause a doubt, and a refusal."""
 _SURE_SHARE, _ENDS, _HALF = 0.5, 99, 0.5
-"""Share of the 95th percentile of confidence from which a keypoint is sure; percentile that is the end of what is seen;
-share of the image beyond which something is seen in it."""
+"""Minimum confidence of a sure keypoint, a share of the 95th percentile; percentile of coordinates that counts as their
+end; share of the image that this end must exceed."""
 SURE_STRETCH, MAX_STRETCH = 0.36, 0.6
-"""Dancers come to 0.20 to 0.31 in their own layout, with any noise and junk, and to 0.39 to 0.8 in wrong ones (tested):
-below the first the layout is right, above the second it is wrong, and between them another one may be better."""
+"""Stretch below which a layout is right and above which it is wrong; between them another layout may be better.
+Measured for dancers: 0.20 to 0.31 in the right layout, also with noise and junk, 0.39 to 0.8 in wrong ones."""
 CLEARLY_SHORTER = 0.75
-"""Another layout whose segments are shorter by this factor is the right one."""
+"""Another layout is right if its segments are shorter by this factor."""
 MAX_OFF_MIDDLE = 0.1
-"""A mid-hip further from the middle of the hips, as a share of the diagonal, is none; a thigh away it is about 0.25."""
+"""Maximum distance of a mid-hip from the middle of the hips, a share of the diagonal; a thigh is about 0.25."""
 MIN_CHECKED_ROWS = 5
-"""A segment seen in fewer rows than this says nothing."""
+"""Segments seen in fewer rows are not used."""
 
 
 RATE_HZ = (1e-3, 1e5)
 FOCAL_PX = (1e-3, 1e6)
 MAX_IMAGE_PX = 100_000
-"""Frame rate, focal length and image side that a file may state."""
+"""Allowed ranges of frame rate and focal length, and the largest image side, in a file."""
 _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
-"""Sequences name files and partitions later on."""
+"""Names of sequences become names of files and partitions."""
 
 
 _ROWS = ("frame", "person_id", "keypoints_px", "confidence")
@@ -80,7 +80,7 @@ _ROWS = ("frame", "person_id", "keypoints_px", "confidence")
 
 
 class KeypointStatus(IntEnum):
-    """Where a keypoint comes from; what comes from a person or a detector is `DETECTED` or more."""
+    """Origin of a keypoint; `DETECTED` or more if it is from a person or a detector."""
 
     MISSING = 0
     INTERPOLATED = 1
@@ -97,20 +97,20 @@ class AnnotatedFrames:
         layout: Name of the keypoint layout.
         sequence_id: (row,) names of sequences.
         frame: (row,) frame numbers.
-        person_id: (row,) people as the source numbers them, else by their order in the frame.
+        person_id: (row,) numbers of people in the source, else their order in the frame.
         keypoints_px: (row, K, 2), NaN where missing; x right, y down.
         confidence: (row, K), 0 where missing.
-        image_size_px: Width and height of the images by sequence, of those where it is known.
+        image_size_px: Width and height of the images by sequence, where known.
         rate_hz: Frames per second, None when unknown.
-        focal_px: Focal length of the camera by sequence, pixels, of those where it is known.
+        focal_px: Focal length of the camera by sequence, pixels, where known.
         skipped: Names of files that could not be read.
-        has_identities: Whether a person has the same number in every frame; a detector that does not follow people
-            numbers them anew in each.
-        status: (row, K) of `KeypointStatus`, where keypoints come from; None where the source does not say.
-        remarks: What a user should know of how it was read, in words.
-        doubts: What may be wrong with it, in words.
-        camera_motion: How the camera moves, by sequence, of those of film in which it does; keypoints are still those
-            of the images.
+        has_identities: Whether a person has the same number in every frame; false for a detector that does not follow
+            people.
+        status: (row, K) of `KeypointStatus`, the origin of keypoints; None if the source does not state it.
+        remarks: Notes for the user on how it was read.
+        doubts: Possible faults, in words.
+        camera_motion: Motion of the camera, by sequence, for film whose camera moves; keypoints stay those of the
+            images.
     """
 
     layout: str
@@ -139,7 +139,7 @@ class AnnotatedFrames:
         status: Integers | None = None,
         **others: Any,
     ) -> AnnotatedFrames:
-        """Return keypoints of a known layout; keypoints of a user's layout become pair17."""
+        """Return annotations in a known layout; keypoints of a user's layout are converted to pair17."""
         if KEYPOINT_LAYOUTS.get(layout.name) is not layout:
             joints = layout.derive(PAIR17.name, keypoints_px, confidence)
             if status is not None:
@@ -148,7 +148,7 @@ class AnnotatedFrames:
         return cls(layout=layout.name, keypoints_px=keypoints_px, confidence=confidence, status=status, **others)
 
     def __post_init__(self) -> None:
-        """Sort the rows, make what is missing NaN with confidence 0, and check."""
+        """Check and sort the rows; set missing keypoints to NaN with confidence 0."""
         rows, count = len(self.frame), get_keypoint_layout(self.layout).num_keypoints
         assert self.keypoints_px.shape == (rows, count, 2)
         assert self.confidence.shape == (rows, count)
@@ -174,11 +174,11 @@ class AnnotatedFrames:
             object.__setattr__(self, name, value)
 
     def remark(self, words: str) -> AnnotatedFrames:
-        """Return the same annotations with one more note; a note is kept once."""
+        """Return the same annotations with one more remark, unless it is there already."""
         return replace(self, remarks=tuple(dict.fromkeys((*self.remarks, words))))
 
     def rows(self, chosen: Flags) -> AnnotatedFrames:
-        """Return some of the rows, chosen by a mask (row,)."""
+        """Return the rows selected by a mask (row,)."""
         return replace(
             self,
             sequence_id=tuple(name for name, kept in zip(self.sequence_id, chosen, strict=True) if kept),
@@ -188,15 +188,15 @@ class AnnotatedFrames:
 
     @property
     def is_given(self) -> Flags:
-        """Which keypoints (row, K) a person or a detector gave: those that were not tracked or interpolated between."""
+        """Keypoints (row, K) from a person or a detector, not tracked or interpolated."""
         return np.asarray(self.confidence > 0 if self.status is None else self.status >= KeypointStatus.DETECTED)
 
     def given(self) -> AnnotatedFrames:
-        """Return the rows with a keypoint of a person or a detector, including their filled-in keypoints."""
+        """Return rows with at least one keypoint from a person or a detector; their other keypoints stay."""
         return self.rows(np.asarray(self.is_given.any(axis=1)))
 
     def start_of_each(self, num_frames: int) -> AnnotatedFrames:
-        """Return the rows of the first frames of each sequence, up to a number of frames."""
+        """Return the rows of the first `num_frames` frames of each sequence."""
         first: dict[str, int] = {}
         for name, frame in zip(self.sequence_id, self.frame.tolist(), strict=True):
             first.setdefault(name, frame)
@@ -209,12 +209,13 @@ class AnnotatedFrames:
 
 
 def join_frames(parts: Sequence[AnnotatedFrames]) -> AnnotatedFrames:
-    """Return the rows of several sequences of one source, with one layout and one rate."""
+    """Join the rows of several sequences of one source, which have one layout and one rate."""
     statuses = [part.status for part in parts if part.status is not None]
+    rows: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS}
     return replace(
         parts[0],
         sequence_id=tuple(name for part in parts for name in part.sequence_id),
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS},
+        **rows,
         status=np.concatenate(statuses) if len(statuses) == len(parts) else None,
         image_size_px={name: size for part in parts for name, size in part.image_size_px.items()},
         focal_px={name: focal for part in parts for name, focal in part.focal_px.items()},
@@ -223,7 +224,7 @@ def join_frames(parts: Sequence[AnnotatedFrames]) -> AnnotatedFrames:
 
 
 def get_keypoint_layout(name: str | KeypointLayout) -> KeypointLayout:
-    """Return the keypoint layout of this name, or one itself; an InputError lists the known ones."""
+    """Return the keypoint layout of this name, or a given layout itself; an InputError lists the known names."""
     if isinstance(name, KeypointLayout):
         return name
     if name not in KEYPOINT_LAYOUTS:
@@ -232,15 +233,16 @@ def get_keypoint_layout(name: str | KeypointLayout) -> KeypointLayout:
 
 
 def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> AnnotatedFrames:
-    """Return annotations without keypoints of low confidence, and without people who have no keypoints left.
+    """Remove keypoints of low confidence, and people who have no keypoints left.
 
-    Detectors differ in what they call 1: old AlphaPose comes to 5 where a joint is plain to see, heat maps that sum to
-    1 to 0.1.  Where the 95th percentile of a source is outside `USUAL_SCALE`, confidences are divided by it; within,
-    low ones are taken for a bad video, because nothing tells it from a detector of a somewhat smaller scale.
+    The scale of confidences differs between detectors: for a clearly visible joint, old AlphaPose gives up to 5, heat
+    maps that sum to 1 give 0.1.  If the 95th percentile of a source is outside `USUAL_SCALE`, confidences are divided
+    by it.  Within, low confidences are kept: a bad video cannot be distinguished from a slightly smaller scale.
 
     Args:
         frames: Annotations.
-        min_confidence: Keypoints of less, as the source has it, are missing; None for `MIN_CONFIDENCE` after that.
+        min_confidence: Keypoints of a lower confidence, in the scale of the source, are missing; None for
+            `MIN_CONFIDENCE` in the usual scale.
     """
     known = frames.confidence[frames.confidence > 0]
     scale = float(np.percentile(known, 95)) if len(known) else 1.0
@@ -255,12 +257,12 @@ def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> A
 
 
 def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
-    """Return annotations in pixels: shares of the image, 0 to 1 or -1 to 1 across it, are multiplied by its size.
+    """Return annotations in pixels: relative coordinates (0 to 1 or -1 to 1) are multiplied by the image size.
 
-    Shares lie in that range, a little outside where people leave the image; a person in pixels is larger than that.
+    Coordinates are relative if nearly all lie in that range, or a little outside where people leave the image.
 
     Raises:
-        InputError: The coordinates are shares and the size is not known, or they lie about 0 as 3D coordinates do.
+        InputError: The coordinates are relative and the size is unknown, or they look like 3D coordinates around 0.
     """
     points = frames.keypoints_px
     if not np.isfinite(points).any() or np.nanpercentile(np.abs(points), 90) > MAX_SHARE:
@@ -285,7 +287,7 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
 
 
 def _has_hips_at_origin(frames: AnnotatedFrames) -> bool:
-    """Tell whether the middle of the hips is always the origin, as it is of 3D landmarks."""
+    """Return whether the middle of the hips is always at the origin, as in 3D landmarks."""
     names = get_keypoint_layout(frames.layout).keypoint_names
     hips = [names.index(name) for name in ("left_hip", "right_hip")]
     middle = np.abs(frames.keypoints_px[:, hips].mean(axis=1))
@@ -293,10 +295,10 @@ def _has_hips_at_origin(frames: AnnotatedFrames) -> bool:
 
 
 def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> AnnotatedFrames:
-    """Return annotations in pixels of an image of the size stated, scaled where the file states another.
+    """Scale annotations to images of the stated size if the file states another size.
 
     Raises:
-        InputError: The image that the file states has another shape.
+        InputError: The image size in the file has another aspect ratio.
     """
     told = {name: size for name, size in frames.image_size_px.items() if stated_px and size != stated_px}
     if not told or not stated_px:
@@ -321,12 +323,12 @@ def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> Annot
 
 
 def check_inside(frames: AnnotatedFrames) -> AnnotatedFrames:
-    """Return annotations with a doubt where their image seems to be of another size.
+    """Return annotations with a doubt if their image seems to have another size.
 
-    Some of the keypoints of which their detector is sure lie outside the image, or nearly all in its first quarter.
+    That is the case if some sure keypoints lie outside the image, or nearly all in its top left quarter.
 
     Raises:
-        InputError: Many lie outside; with both sizes.
+        InputError: Many lie outside; the message has both sizes.
     """
     doubts = []
     for name, (width, height) in frames.image_size_px.items():
@@ -356,12 +358,12 @@ def check_inside(frames: AnnotatedFrames) -> AnnotatedFrames:
 
 
 def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
-    """Return how long the body segments are against the longest they can be on a body: below 0.5 for people.
+    """Return the length of the body segments relative to the longest possible on a body: below 0.5 for people.
 
-    The mean over the kinds of segment of the median over the rows; NaN when too little is seen to tell.
+    This is the mean over the segments of the median over the rows; NaN if too little is seen.
 
     Args:
-        layout: Layout whose order is tried; its first keypoints are taken if the data has fewer.
+        layout: Layout to test; if the data has fewer keypoints, the first of the layout.
         keypoints_px: (row, K, 2).
         confidence: (row, K).
     """
@@ -387,9 +389,9 @@ def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
 
 
 def _off_middle(frames: AnnotatedFrames) -> float:
-    """Return how far the mid-hip is from the middle of the hips against the diagonal; NaN if not seen.
+    """Return the distance of the mid-hip from the middle of the hips, a share of the diagonal; NaN if not seen.
 
-    It is so far in seven rows of ten: one that is in a wrong place is there in all, detectors err in some.
+    This is the 0.3 quantile over the rows: in a wrong layout all rows are off, detectors err in a few.
     """
     names = get_keypoint_layout(frames.layout).keypoint_names
     if "mid_hip" not in names:
@@ -404,10 +406,11 @@ def _off_middle(frames: AnnotatedFrames) -> float:
 
 
 def check_anatomy(frames: AnnotatedFrames) -> None:
-    """Refuse keypoints whose order differs from their layout: eyes at ankles, hips a body apart, a mid-hip at a hip.
+    """Refuse keypoints that are in another order than that of their layout.
 
     Raises:
-        InputError: The segments are too long for a body, or much longer than in another layout, which is then named.
+        InputError: The segments are too long for a body, or much longer than in another layout (named), or the mid-hip
+            is far from the middle of the hips.
     """
     stretch_here = stretch(frames.layout, frames.keypoints_px, frames.confidence)
     if np.isnan(stretch_here):

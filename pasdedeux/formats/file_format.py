@@ -1,7 +1,7 @@
 """The protocol of input formats: recognition, companion files, reading.
 
-A new format is one file with a `MotionFormat` or an `AnnotationFormat`, and one line in `registry.py`; the contract
-test in `tests/contract/test_input_formats.py` asks for a good file of it and does the rest.
+A new format is one file with a `MotionFormat` or an `AnnotationFormat`, and one line in `registry.py`.  The contract
+test, `tests/contract/test_input_formats.py`, needs one good file of the format.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 LOOKED_AT_BYTES = 200_000
-"""Bytes of a text by which its format is told."""
+"""Length of the part of a text file that format recognition reads."""
 
 
 class FileStart:
@@ -38,7 +38,7 @@ class FileStart:
 
     @cached_property
     def array_names(self) -> frozenset[str]:
-        """Names of the arrays of an npz archive; none of any other file.  A damaged archive is a FormatError."""
+        """Names of the arrays of an npz archive; empty for other files.  A damaged archive raises a FormatError."""
         return array_names(self._data) if is_npz(self._data) else frozenset()
 
     @cached_property
@@ -52,33 +52,33 @@ class FileStart:
 
     @cached_property
     def first_row(self) -> str:
-        """The first line that is neither empty nor a comment (#)."""
+        """First line that is neither empty nor a comment (#)."""
         lines = (line.strip() for line in self.text.splitlines())
         return next((line for line in lines if line and not line.startswith("#")), "")
 
     @cached_property
     def columns(self) -> list[str]:
-        """The cells of the first row as columns of a table, in lower case."""
+        """Cells of the first row, in lower case: the column names if the file is a table."""
         cells = self.first_row.split(find_delimiter(self.first_row))
         return [cell.strip().strip('"').lower() for cell in cells]
 
     @property
     def is_json(self) -> bool:
-        """Whether it begins as a JSON object or list."""
+        """Whether the text begins like a JSON object or list."""
         return self.text[:1] in ("{", "[")
 
     @cached_property
     def is_by_frame(self) -> bool:
-        """Whether it is a JSON object of lists or objects by numbers or names with numbers, such as images."""
+        """Whether it is a JSON object of nested values whose keys contain numbers, such as frames or images."""
         return re.match(r'\{\s*"[^"]*\d[^"]*"\s*:\s*[\[{]', self.text) is not None
 
     @cached_property
     def has_points(self) -> bool:
-        """Whether it is JSON of objects with a number `x`."""
+        """Whether it is JSON with objects that have a number `x`."""
         return self.is_json and re.search(r'"x"\s*:\s*-?\d', self.text) is not None
 
     def has_key(self, *keys: str) -> bool:
-        """Whether it is JSON with one of these keys."""
+        """Return whether it is JSON with one of these keys."""
         return self.is_json and any(f'"{key}"' in self.text for key in keys)
 
 
@@ -87,8 +87,8 @@ class MotionHead:
     """Head of a motion file, read without converting its rotations.
 
     Args:
-        rest: Its skeleton with one frame of rest, and what it says of rate, unit and axis.
-        num_frames: Its length.
+        rest: One frame of the rest pose, with the rate and unit that the file states.
+        num_frames: Number of frames in the file.
     """
 
     rest: SourceMotion
@@ -101,8 +101,8 @@ class FileFormat:
 
     Args:
         name: Name in a study (`format = "bvh"`) and in the column `source_format`.
-        suffixes: Endings of such files, lower case with the dot: which files of a folder are inspected.
-        recognises: Tells from its content whether a file is of this format; true for no good file of another format.
+        suffixes: File name endings, lower case with the dot; only such files of a folder are inspected.
+        recognises: Returns whether the content is of this format; must be false for valid files of other formats.
     """
 
     name: str
@@ -114,21 +114,19 @@ class FileFormat:
 class MotionFormat(FileFormat):
     """A format of motions of one person.
 
-    What a file does not say of rate, unit or up axis is None in its `SourceMotion`, and asked for or guessed later.
-    Readers raise a FormatError when the file or its companion is mangled, which says the line, or the frame, and what
-    is wrong.
+    Rate and unit are None in the `SourceMotion` if the file does not state them; they are set or guessed later.
+    If the file or its companion is damaged, readers raise a FormatError with the line or frame and the fault.
 
     Args:
-        read: Reads everything, of the file and its companion, which is empty for formats that need none.
-        head: Returns skeleton and length after checking the file, where that is cheaper than to read everything.
-        companion: What must lie beside a file, in words ("skeleton"); empty when a file stands alone.
-        companion_names: Returns where the companion of a file of this name may lie, relative to its folder, likeliest
-            first.
-        is_companion: Tells whether a file, of no format itself, is what files of this format need beside them.
-        check_companion: Reads such a companion and refuses a mangled one, so that faults get its own name.
-        has_rotations: False when files hold positions only, so that rotations are swings.
-        read_other: Reads the person of a number, from 0, of a file that may hold several; `read` reads the first.
-        count_people: Returns how many people a file holds.
+        read: Reads the whole file and its companion (empty bytes for formats without one).
+        head: Checks the file and returns skeleton and length; set it if that is cheaper than reading everything.
+        companion: Name of the second file that a motion needs, such as "skeleton"; empty if it needs none.
+        companion_names: Returns possible paths of the companion of a file, relative to its folder, likeliest first.
+        is_companion: Returns whether a file, which is of no format itself, is a companion of this format.
+        check_companion: Reads a companion and refuses a damaged one, so that the error names the right file.
+        has_rotations: False if files hold positions only; rotations are then swings without twist.
+        read_other: Reads one person, counted from 0, of a file that may hold several; `read` reads the first.
+        count_people: Returns the number of people in a file.
     """
 
     read: Callable[[bytes, bytes], SourceMotion]
@@ -142,10 +140,10 @@ class MotionFormat(FileFormat):
     count_people: Callable[[bytes], int] = lambda data: 1
 
     def read_person(self, number: int, data: bytes, companion: bytes = b"") -> SourceMotion:
-        """Read the person that a take means where it names the file for the `number`-th time, from 0.
+        """Read the person to use when a take names the same file for the `number`-th time, counted from 0.
 
         Raises:
-            FormatError: The file holds several people, and fewer than that; or as `read`.
+            FormatError: The format can hold several people and the file holds too few; or as `read`.
         """
         if number == 0 or self.read_other is None:
             return self.read(data, companion)
@@ -156,11 +154,11 @@ class MotionFormat(FileFormat):
         return self.read_other(data, companion, number)
 
     def read_people(self, data: bytes, companion: bytes = b"") -> list[SourceMotion]:
-        """Read everybody of a file."""
+        """Read all people of a file."""
         return [self.read_person(number, data, companion) for number in range(self.count_people(data))]
 
     def read_head(self, data: bytes, companion: bytes = b"", *, number: int = 0) -> MotionHead:
-        """Return skeleton and length of a person, as `read_person` counts them, after checking the file."""
+        """Check the file and return skeleton and length of a person, counted as in `read_person`."""
         if self.head and number == 0:
             return self.head(data, companion)
         source = self.read_person(number, data, companion)
@@ -171,12 +169,12 @@ class MotionFormat(FileFormat):
 class AnnotationFormat(FileFormat):
     """A format of 2D poses: a source is one file, or a folder with a file for each image.
 
-    Readers raise a FormatError when a file is mangled, which says the line, the frame or the entry, and what is wrong.
+    If a file is damaged, readers raise a FormatError with the line, frame or entry and the fault.
 
     Args:
-        read_file: Reads a source that is one file: the file, the name of the sequence where the file names none, the
-            layout that is asked for or "auto".
-        read_people: Returns the people of the file of one image, without those who have no keypoint.
+        read_file: Reads a source that is one file.  Takes the content, the name of the sequence if the file names none,
+            and the requested layout or "auto".
+        read_people: Returns the people in the file of one image, except those without keypoints.
     """
 
     read_file: Callable[[bytes, str, str | KeypointLayout], AnnotatedFrames] | None = None
@@ -188,7 +186,7 @@ class AnnotationFormat(FileFormat):
         return self.read_people is not None
 
     def frame_numbers(self, names: Sequence[str]) -> list[int]:
-        """Return the frame number of each file of a camera from its name; empty if the content states it."""
+        """Return the frame number in the name of each file of a camera; empty if the content states the frame."""
         places = places_of_names(names) if self.is_file_per_frame else {}
         return [places[name][1] for name in names if name in places]
 
@@ -200,15 +198,15 @@ class AnnotationFormat(FileFormat):
         layout: str | KeypointLayout = "auto",
         skip_unreadable: bool = False,
     ) -> AnnotatedFrames:
-        """Read a source from its files, given by name: one file, or one per frame.
+        """Read a source from its files: one file, or one per frame.
 
-        The last of several may be cut off, because its writer was stopped: it is skipped.
+        A damaged last file of several is skipped, because its writer may have been stopped.
 
         Args:
             files: Content of each file by its name, without folders.
-            sequence_id: Name of the sequence where the files do not name any.
-            layout: Keypoint layout asked for; "auto" takes what the files say or what their keypoints show.
-            skip_unreadable: Skip frames whose file is damaged, and name the file, instead of refusing.
+            sequence_id: Name of the sequence if the files name none.
+            layout: Requested keypoint layout; "auto" takes the stated layout or detects it from the keypoints.
+            skip_unreadable: Skip and list damaged files instead of raising an error.
         """
         if self.read_people is None:
             assert self.read_file is not None

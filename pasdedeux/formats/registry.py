@@ -46,7 +46,7 @@ ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
 
 
 def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
-    """Return the format of a file by its content, never by its name."""
+    """Detect the format of a file from its content; the name does not matter."""
     if not data.strip():
         raise FormatError("this file is empty")
     refuse_foreign(data)
@@ -69,7 +69,7 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
 
 
 def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
-    """Return the format of this name, or for "auto" the one that a file's content shows."""
+    """Return the format of this name; "auto" detects it from the content."""
     refuse_foreign(data)
     if name != "auto":
         return known[name]
@@ -92,22 +92,22 @@ def read_annotations(
     skip_unreadable: bool = False,
     frame_offset: int = 0,
 ) -> AnnotatedFrames:
-    """Read a source of 2D poses in pixels and check that they look like people; sequences are named after it.
+    """Read a source of 2D poses in pixels and check that they look like people; its name starts sequence names.
 
     Args:
         kind: Format of the files.
         files: Content of each file by its name.
-        source_id: Name of the source; stands in front of the names that the files give to their sequences.
-        layout: Keypoint layout asked for, or "auto".
-        stated: What the study states of the video; wins over the files.
-        video: What the video file beside them states; used where neither does.
-        min_confidence: Keypoints of less are missing; None for the usual, see `without_doubtful`.
+        source_id: Name of the source; prefix of the sequence names in the files.
+        layout: Requested keypoint layout, or "auto".
+        stated: Footage that the study states; overrides the files.
+        video: Footage that the video file beside them states; used if neither study nor files state it.
+        min_confidence: Keypoints of a lower confidence are missing; None for the default, see `without_doubtful`.
         skip_unreadable: Skip frames whose file is damaged.
-        frame_offset: Added to the numbers of frames; -1 where a tool counts from 1.
+        frame_offset: Added to frame numbers; -1 for tools that count from 1.
 
     Raises:
-        InputError: A file is mangled (named), the keypoints are not in the layout asked for, are not people, or lie
-            in an image of unknown or another size; or a frame's number is negative after the offset.
+        InputError: A file is damaged (it is named), the keypoints have another layout than the requested one, do not
+            look like people, or lie in an image of unknown or another size; or a frame number becomes negative.
     """
     frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
     if isinstance(layout, str) and layout not in {"auto", frames.layout}:
@@ -132,10 +132,10 @@ def read_annotations(
 def clean_annotations(
     frames: AnnotatedFrames, *, stated: Footage = UNKNOWN, video: Footage = UNKNOWN, min_confidence: float | None = 0.0
 ) -> AnnotatedFrames:
-    """Return 2D poses in pixels, with all that is known of the footage and without doubtful keypoints.
+    """Convert 2D poses to pixels, add what is known of the footage, and remove doubtful keypoints.
 
     Raises:
-        InputError: They are not people, or lie in an image of unknown or another size.
+        InputError: They do not look like people, or lie in an image of unknown or another size.
     """
     known = _with_footage(frames, stated, video)
     pixels = in_pixels(known)
@@ -147,7 +147,7 @@ def clean_annotations(
 
 
 def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> AnnotatedFrames:
-    """Return annotations with all that is known of rate, image size and focal length."""
+    """Return annotations with rate, image size and focal length as far as they are known."""
     sizes, focals = dict(frames.image_size_px), dict(frames.focal_px)
     for name in set(frames.sequence_id):
         size = stated.image_size_px or sizes.get(name) or video.image_size_px

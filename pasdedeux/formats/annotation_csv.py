@@ -1,6 +1,6 @@
-"""Our own CSV of 2D annotations, which a spreadsheet can write.
+"""The CSV format of this project for 2D annotations, which a spreadsheet can write.
 
-A header line and a row per keypoint, columns in any order::
+It has a header line and a row per keypoint, columns in any order::
 
     # layout: pair17
     # image_size: 1920x1080
@@ -9,9 +9,9 @@ A header line and a row per keypoint, columns in any order::
     sequence,frame,person,joint,x,y,confidence
     clip1,0,0,left_knee,812.5,640.0,0.93
 
-The lines that start with `#` are optional: the layout then follows from the joints' names.  `confidence` is optional
-(1).  Empty or NaN x and y, or confidence 0, mean missing; keypoints that are not listed are missing.  The optional
-column `status` says where a keypoint comes from: annotated, detected, tracked, interpolated or missing.
+The lines that start with `#` are optional; without them the layout follows from the names of the joints.  `confidence`
+is 1 by default.  A keypoint is missing if it is not listed, x or y is empty or NaN, or the confidence is 0.  The column
+`status` is optional and has the origin of a keypoint: annotated, detected, tracked, interpolated or missing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 COLUMNS = ("sequence", "frame", "person", "joint", "x", "y", "confidence", "status")
 _NEEDED = ("frame", "joint", "x", "y")
 _PASSED_OVER = ("image", "image_name", "filename", "file_name")
-"""Columns that tools add; `frame` says of which image a row is."""
+"""Columns that tools add and that are ignored: `frame` identifies the image."""
 
 
 def read_annotation_csv(
@@ -49,8 +49,8 @@ def read_annotation_csv(
 
     Args:
         data: The file.
-        sequence_id: Name of the sequence where the file has no column for it.
-        layout: Layout of the keypoints; "auto" takes the one the file states or the only one that has all its joints.
+        sequence_id: Name of the sequence if the file has no column `sequence`.
+        layout: Layout of the keypoints; "auto" takes the stated layout, or the only one that has all joints.
     """
     size = rate_hz = focal_px = None
     people: dict[tuple[str, int, int | str], dict[str, tuple[float, float, float, float]]] = {}
@@ -100,7 +100,7 @@ def read_annotation_csv(
 
 
 def write_annotation_csv(frames: AnnotatedFrames) -> str:
-    """Return annotations as this CSV, keypoints that are missing left out."""
+    """Write annotations as this CSV, without missing keypoints."""
     sizes, focals = set(frames.image_size_px.values()), set(frames.focal_px.values())
     notes = [f"# layout: {frames.layout}"]
     notes += [f"# image_size: {width}x{height}" for width, height in sizes] if len(sizes) == 1 else []
@@ -122,11 +122,11 @@ ANNOTATION_CSV = AnnotationFormat(
     recognises=lambda start: set(_NEEDED) <= set(start.columns),
     read_file=read_annotation_csv,
 )
-"""Our CSV: it may state layout, image size and rate."""
+"""Our CSV, which may state layout, image size, rate and focal length."""
 
 
 def _whole(word: str) -> str:
-    """Return a whole number without the `.0` that tables of floats give it."""
+    """Remove the `.0` that tables of floats append to a whole number."""
     return re.sub(r"(?<=\d)\.0+$", "", word)
 
 

@@ -1,4 +1,4 @@
-"""Our own npz of 2D annotations, for programs.
+"""The npz format of this project for 2D annotations, for programs.
 
 `keypoints_px` (row, K, 2), `confidence` (row, K), `frame` (row,), `person` (row,), `layout` (text) or `joint_names`
 (K,) in any order, and optionally `sequence` (row,) of texts, `image_size_px` (2,), `rate_hz`, `focal_px`.
@@ -78,4 +78,4 @@ ANNOTATION_NPZ = AnnotationFormat(
     recognises=lambda start: "keypoints_px" in start.array_names,
     read_file=read_annotation_npz,
 )
-"""Our npz: it states its layout, and may state image size and rate."""
+"""Our npz, which states its layout and may state image size, rate and focal length."""

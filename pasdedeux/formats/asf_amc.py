@@ -27,7 +27,7 @@ from pasdedeux.skeletons import Skeleton
 METRES_PER_INCH = 0.0254
 MAX_BONES = 500
 _DOF = {"rx": "X", "ry": "Y", "rz": "Z", "tx": "x", "ty": "y", "tz": "z"}
-"""The letter that stands for each degree of freedom; only the root moves."""
+"""Letter of each degree of freedom; only the root has translations."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class AsfSkeleton:
 
 @dataclass
 class _Bone:
-    """A bone while it is read; the root is one whose `direction` is its position."""
+    """A bone while it is read; `direction` of the root is its position."""
 
     name: str = ""
     direction: Array = field(default_factory=lambda: np.zeros(3))
@@ -67,7 +67,7 @@ class _Bone:
     keys: set[str] = field(default_factory=set)
 
     def read(self, key: str, values: list[str]) -> None:
-        """Read one of its entries."""
+        """Read one entry of the bone."""
         what = f"{key} of '{self.name}'"
         self.keys.add(key)
         match key:
@@ -104,7 +104,7 @@ class _Bone:
                 )
 
     def check(self) -> None:
-        """Refuse a bone that is not whole, and make its direction one of length 1."""
+        """Refuse an incomplete bone, and normalise its direction."""
         what, norm = f"bone '{shorten(self.name)}'", float(np.linalg.norm(self.direction))
         if not self.name or not {"direction", "length", "axis"} <= self.keys:
             raise FormatError(f"{what} needs a name, a direction, a length and an axis")
@@ -226,11 +226,11 @@ def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
 
 
 def _read_rows(data: bytes | str, columns: Mapping[str, tuple[int, int]]) -> tuple[Array, bool | None]:
-    """Return the numbers of all frames (frame, sum of dof), and whether angles are degrees, None if it does not say.
+    """Return the values of all frames (frame, sum of dof), and whether angles are degrees (None if not stated).
 
     Args:
         data: The file.
-        columns: For each joint the first of its columns and the one after them.
+        columns: First column of each joint, and the first one after its columns.
     """
     is_degrees = None
     rows: list[list[float]] = []
@@ -268,11 +268,11 @@ def _read_rows(data: bytes | str, columns: Mapping[str, tuple[int, int]]) -> tup
 
 
 _BARE_FRAME = re.compile(r"(?:#[^\n]*\n|\s)*\d+\s*\n\s*root(?:[ \t]+[-+.\deE]+)+\s*\n", re.IGNORECASE)
-"""The first frame of an AMC file without a header: its number, then the root and its numbers."""
+"""First frame of an AMC file without a header: the frame number, then the root and its values."""
 
 
 def _skeleton_names(name: str) -> list[str]:
-    """Return what the skeleton of a motion may be called: as the motion, or as what its name begins with.
+    """Return possible names of the skeleton file of a motion: the same stem, or a beginning of it.
 
     >>> _skeleton_names("60_01.amc"), _skeleton_names("HDM_bd_01-01.amc")[-2:]
     (['60_01.asf', '60.asf'], ['HDM_bd.asf', 'HDM.asf'])
@@ -295,10 +295,9 @@ ASF_AMC = MotionFormat(
     check_companion=read_asf,
     is_companion=lambda start: _has(start, "bonedata"),
 )
-"""AMC over its ASF skeleton, 60.asf for 60_01.amc in the CMU database: it states its unit and that y is up, never its
-rate."""
+"""AMC with its ASF skeleton (60.asf for 60_01.amc in the CMU database), which states its unit, but no rate; y is up."""
 
 
 def _has(start: FileStart, names: str) -> bool:
-    """Tell whether the file has one of these sections."""
+    """Return whether the file has one of these sections."""
     return re.search(rf"^\s*:({names})\b", start.text, re.IGNORECASE | re.MULTILINE) is not None

@@ -1,8 +1,7 @@
 """Reading BVH motion files, and bare rows of joint angles over a BVH template.
 
-An own parser, because the package considered (pybvh 0.9) reads from a path only, gives no line number for a fault in
-the motion block, and refuses joints with other than three rotation channels or with position channels.  The tests use
-it as an independent oracle.
+The package pybvh 0.9 is not used: it reads from a path only, gives no line numbers for faults in the motion block, and
+refuses joints with position channels or without three rotation channels.  The tests use it as an independent oracle.
 """
 
 from __future__ import annotations
@@ -28,31 +27,31 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import Skeleton
 
 MAX_JOINTS = 1000
-"""More joints than this is a damaged file: the largest rigs in use have a few hundred."""
+"""A file with more joints is damaged: the largest rigs in use have a few hundred."""
 MIN_FRAME_TIME_S, MAX_FRAME_TIME_S = 1e-5, 10.0
 
 _COMMENT = ("#", "//", ";")
 
 _BEGINNING = re.compile(r"^[ \t]*HIERARCHY(?!\w)", re.IGNORECASE | re.MULTILINE)
-"""Where a file begins; what some programs write before it is skipped."""
+"""Beginning of the hierarchy; lines that some programs write before it are skipped."""
 _MOTION = re.compile(r"^[ \t]*MOTION[ \t]*$", re.IGNORECASE)
 _MOTION_BYTES = re.compile(rb"\}\s*\n[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
-"""Where the hierarchy ends, on a line of its own."""
+"""End of the hierarchy, on a line of its own."""
 _FRAME_TIME = re.compile(rb"Frame\s*Time\s*:\s*\S+", re.IGNORECASE)
 _NUMBERS = b"0123456789+-.eE \t\r\n"
 _LARGE_BYTES, _NUM_SAMPLED = 2_000_000, 2000
-"""Size from which the head of a file is read by a sample of its frames, and about how many these are."""
+"""Minimum size of a file whose head is read from a sample of its frames, and the approximate size of the sample."""
 _SCALES = {"Xscale": "1", "Yscale": "2", "Zscale": "3"}
 _CHANNELS = {f"{axis}position": axis.lower() for axis in "XYZ"} | {f"{axis}rotation": axis for axis in "XYZ"} | _SCALES
-"""The letter that stands for each channel."""
+"""Letter of each channel."""
 _MAX_SCALED = 1e-3
-"""Difference of a scale from 1 that is digits."""
+"""Largest difference of a scale from 1 that counts as rounding."""
 _COMMAS, _POINTS = (re.compile(rf"(?<!\S)[-+]?\d+{mark}\d+(?:[eE][-+]?\d+)?(?!\S)") for mark in (",", r"\."))
 
 
 @dataclass(frozen=True)
 class _BvhFile:
-    """What a BVH file holds: its joints, the numbers of its frames (frame, sum of channels), its rate, what to say."""
+    """Content of a BVH file: joints, values (frame, sum of channels), rate, and notes for the user."""
 
     hierarchy: BvhHierarchy
     values: Array
@@ -70,7 +69,7 @@ def read_bvh(data: bytes | str, person: int = 0) -> SourceMotion:
 
 
 def read_bvh_joints(data: bytes | str) -> tuple[float | None, list[tuple[Skeleton, Array]]]:
-    """Read the frame rate of a BVH file, and joints and positions (frame, J, 3), file units, below each ROOT."""
+    """Read the frame rate of a BVH file, and for each ROOT its joints and their positions (frame, J, 3), file units."""
     file, trees = _read(data), []
     skeleton, places = file.hierarchy.skeleton, file.hierarchy.positions(file.values)
     is_several = skeleton.joint_names[skeleton.root] == _SEVERAL
@@ -83,9 +82,9 @@ def read_bvh_joints(data: bytes | str) -> tuple[float | None, list[tuple[Skeleto
 
 
 def read_bvh_head(data: bytes | str, person: int = 0) -> MotionHead:
-    """Read a BVH file but do not convert its rotations, which takes most of the time.
+    """Read a BVH file without converting its rotations, which takes most of the time.
 
-    Of a file larger than 2 MB some 2000 frames are read; `read_bvh` finds faults of the others.
+    Of a file larger than 2 MB about 2000 frames are read; only `read_bvh` finds faults in the others.
 
     Raises:
         FormatError: As `read_bvh`.
@@ -97,9 +96,10 @@ def read_bvh_head(data: bytes | str, person: int = 0) -> MotionHead:
 
 
 def _sample(data: bytes, person: int) -> MotionHead | None:
-    """Read the head of a large file by some of its frames, evenly spread; None where it must be read as a whole.
+    """Read the head of a large file from some of its frames, evenly spread.
 
-    That is where something but numbers stands among the frames, or a line is no frame, or something is wrong.
+    Returns None if the file must be read as a whole: if there is anything but numbers among the frames, a line is not a
+    frame, or there is a fault.
     """
     frame_time = _FRAME_TIME.search(data, 0, _LARGE_BYTES)
     if frame_time is None:
@@ -114,20 +114,20 @@ def _sample(data: bytes, person: int) -> MotionHead | None:
         if not line.isspace():
             kept += [line] if num_frames % step == 0 else []
             last, num_frames = line, num_frames + 1
-    kept += [last] if num_frames % step != 1 % step else []  # which may be cut off
+    kept += [last] if num_frames % step != 1 % step else []  # may be cut off
     try:
         file = _read(b"\n".join([data[: frame_time.end()], *kept]), num_frames)
         is_whole = len(file.values) == len(kept)
         return MotionHead(file.motion(person, is_head=True), num_frames) if is_whole else None
-    except FormatError:  # its line is that of the sample
+    except FormatError:  # its line number is of the sample
         return None
 
 
 def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion:
     """Read rows of angles over a BVH template, as the projection database of Yiannakides et al. (2019) ships.
 
-    Each line is a frame: for every joint of the template in its order three Euler angles in degrees, in the order of
-    the joint's rotation channels.  The root stays at the template's OFFSET.
+    Each line is a frame.  It has three Euler angles in degrees for every joint, in the order of the template and of the
+    joint's rotation channels.  The root stays at the template's OFFSET.
     """
     hierarchy = _read_template(template)
     with Lines(data, "file of rotation rows") as lines:
@@ -135,7 +135,7 @@ def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion
 
 
 def _hierarchy(data: bytes) -> BvhHierarchy:
-    """Read the joints of a file, and nothing of its frames."""
+    """Read the joints of a file, but not its frames."""
     end = _MOTION_BYTES.search(data)
     with Lines(_with_points(decode(data[: end.end() if end else None], "BVH file")), "BVH file") as lines:
         return _read_hierarchy(lines)
@@ -151,7 +151,7 @@ def _read_template(template: bytes | str) -> BvhHierarchy:
 
 
 def _read_rows(hierarchy: BvhHierarchy, lines: Lines) -> Array:
-    """Return the numbers (frame, sum of channels) of the lines that are left."""
+    """Return the values (frame, sum of channels) in the remaining lines."""
     names = {letter: channel for channel, letter in _CHANNELS.items()}
     joints = zip(hierarchy.skeleton.joint_names, hierarchy.channels, strict=True)
     columns = [f"{names[letter]} of '{joint}'" for joint, letters in joints for letter in letters]
@@ -167,11 +167,11 @@ BVH = MotionFormat(
     read_other=lambda data, companion, person: read_bvh(data, person),
     count_people=lambda data: _hierarchy(data).num_people,
 )
-"""A hierarchy and Euler angles.  It states its rate, rounded; never its unit, nor which axis points up."""
+"""A hierarchy and Euler angles.  It states its rate, rounded, but neither unit nor up axis."""
 
 
 def _is_rows(start: FileStart) -> bool:
-    """Tell whether the first line is at least three triples of numbers."""
+    """Return whether the first line has at least three triples of numbers."""
     words = start.first_row.split()
     is_numbers = len(words) >= 9 and len(words) % 3 == 0 and all(re.fullmatch(r"[-+0-9.eE]+", word) for word in words)
     return is_numbers and not YOLO.recognises(start)
@@ -186,11 +186,11 @@ ROTATION_ROWS = MotionFormat(
     check_companion=_read_template,
     companion_names=lambda name: ("template.bvh", "../template.bvh"),
 )
-"""Rows of angles over a BVH template; they say nothing of rate, unit and axis."""
+"""Rows of angles over a BVH template; they state neither rate, unit nor up axis."""
 
 
 _SEVERAL = "(file)"
-"""Name of the joint above the roots of a file that has several."""
+"""Name of the joint that is added above several roots."""
 
 
 @dataclass
@@ -212,18 +212,18 @@ class _Joint:
 
 
 def _read_hierarchy(lines: Lines) -> BvhHierarchy:
-    """Read up to the line MOTION, or all lines of a template; files of one rig, of which many are read, begin alike."""
+    """Read up to the line MOTION, or all lines of a template; cached, because many files of one rig are read."""
     head = lines.up_to(_MOTION)
     try:
         hierarchy, lines.number = _known_hierarchy(head, lines.number)
-    except FormatError:  # again, for the number of its line
+    except FormatError:  # parse again for the line number
         hierarchy = _parse_hierarchy(lines)
     return hierarchy
 
 
 @lru_cache(maxsize=64)
 def _known_hierarchy(head: str, number: int) -> tuple[BvhHierarchy, int]:
-    """Return the joints that lines tell, of which so many are read, and the number of the last one."""
+    """Return the joints in some lines, the first of which is `number` + 1, and the number of the last line."""
     lines = Lines(head, "BVH file")
     hierarchy = _parse_hierarchy(lines)
     return hierarchy, number + lines.number
@@ -292,7 +292,7 @@ def _tokens(words: list[str]) -> list[str]:
 
 
 def _continue(lines: Lines, words: list[str], count: int, fits: Callable[[str], bool]) -> None:
-    """Add the words of the next lines, up to a count, as long as each line begins with a word that fits."""
+    """Append words of the next lines, up to a count, while each line begins with a word that fits."""
     while len(words) < count and (line := next(lines.words(), [])):
         more = _tokens(line)
         if not fits(more[0]):
@@ -302,13 +302,13 @@ def _continue(lines: Lines, words: list[str], count: int, fits: Callable[[str], 
 
 
 def _end_name(parent: str, joints: Collection[str]) -> str:
-    """Return a name for an End Site that no joint has."""
+    """Return an unused name for an End Site."""
     names = (f"{parent}_end{copy if copy > 1 else ''}" for copy in count(1))
     return next(name for name in names if name not in joints)
 
 
 def _pop_channels(words: list[str], joint: str) -> str:
-    """Return the letters of the channels that the first words count and list, and take those words away."""
+    """Remove the count and list of channels from the words, and return the letters of the channels."""
     what = f"CHANNELS of '{joint}'"
     num_channels = parse_integer(words[0] if words else "", what, 0, len(_CHANNELS))
     listed = [word.capitalize() for word in words[1 : num_channels + 1]]
@@ -340,7 +340,7 @@ def _hierarchy_of(joints: Mapping[str, _Joint]) -> BvhHierarchy:
 
 
 def _read(data: bytes | str, num_held: int | None = None) -> _BvhFile:
-    """Read a file, or a sample of one that holds so many frames; the last small ones are remembered."""
+    """Read a file, or a sample of one with `num_held` frames; the last few small files are cached."""
     return _read_small(data) if num_held is None and len(data) <= _LARGE_BYTES else _read_all(data, num_held)
 
 
@@ -366,14 +366,14 @@ def _read_all(data: bytes | str, num_held: int | None) -> _BvhFile:
 
 
 def _with_points(text: str) -> str:
-    """Return text with points for the decimal commas of a file that has no decimal point."""
+    """Replace decimal commas by points if the text has no decimal point."""
     if "," in text and _COMMAS.search(text) and not _POINTS.search(text):
         return _COMMAS.sub(lambda number: number[0].replace(",", "."), text)
     return text
 
 
 def _without_scales(hierarchy: BvhHierarchy, values: Array) -> tuple[BvhHierarchy, Array]:
-    """Return joints and numbers without the scales of joints, which must be 1."""
+    """Remove the scale channels from joints and values; all scales must be 1."""
     joints = zip(hierarchy.skeleton.joint_names, hierarchy.channels, strict=True)
     columns = [(joint, letter) for joint, letters in joints for letter in letters]
     is_scale = np.array([letter in _SCALES.values() for _, letter in columns])
@@ -389,7 +389,7 @@ def _without_scales(hierarchy: BvhHierarchy, values: Array) -> tuple[BvhHierarch
 
 
 def _stated(lines: Lines, label: str) -> str:
-    """Return the word after a label at the start of the next line; what follows on the line is put back."""
+    """Return the word after a label at the start of the next line; put the rest of the line back."""
     pattern = label.replace(" ", r"\s*").replace(":", r"\s*:\s*") + r"(\S+)"
     text, stated = "", None
     for words in lines.words():

@@ -1,4 +1,4 @@
-"""People in the joints of a BVH file: where their bodies begin, and their motion from the numbers of the frames."""
+"""People among the joints of a BVH file: the root of each body, and its motion from the values of the frames."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.layouts.names import normal_names
 
 LIMB_JOINTS = 3
-"""Joints, one below the other, of the shortest limb: hip, knee, ankle."""
+"""Number of joints of the shortest limb: hip, knee, ankle."""
 MAX_STRETCH_M, STATURE_M = 0.01, 1.7
-"""By how much a joint may move against its parent on a body of this stature, metres: its bone is then fixed."""
+"""Largest movement of a joint against its parent, on a body of this stature, for which its bone is fixed, metres."""
 _STILL = 1e-6
-"""Share of the stature by which a joint may move and still count as fixed: digits of the file."""
+"""Largest movement of a fixed joint, a share of the stature: rounding in the file."""
 _HIP_NAMES = ("hips", "hip", "pelvis")
 
 
@@ -43,7 +43,7 @@ class BvhHierarchy:
 
     @property
     def num_people(self) -> int:
-        """How many people the joints are of, at least 1."""
+        """Number of people among the joints, at least 1."""
         return max(len(self._bodies), 1)
 
     def motion(
@@ -57,19 +57,19 @@ class BvhHierarchy:
     ) -> SourceMotion:
         """Return the motion of a person, counted from 0.
 
-        Positions of a joint replace its OFFSET.  The joint from which legs and spine leave is the root: the motion of
-        the nodes above it is composed into its own.  Below it a joint that moves against its parent by up to 1 cm, on a
-        body of 1.7 m, is fixed at its median place, and the notes say so.
+        Position channels of a joint replace its OFFSET.  The root is the joint where legs and spine branch; the motion
+        of the nodes above it is composed into its own.  Below it, a joint that moves against its parent by up to 1 cm,
+        on a body of 1.7 m, is fixed at its median offset, with a note.
 
         Args:
-            values: Rows of numbers (frame, sum of channels), lengths in file units, angles in degrees.
+            values: Values (frame, sum of channels), lengths in file units, angles in degrees.
             person: Number of the person.
             rate_hz: Frame rate that the file states.
-            notes: What was assumed so far.
-            is_head: Whether one frame of the rest pose is enough.
+            notes: Notes of the reader so far.
+            is_head: Return only one frame of the rest pose.
 
         Raises:
-            FormatError: A joint moves by more; the joint, the frame and the amount are named.
+            FormatError: A joint moves by more; the message has the joint, the frame and the amount.
         """
         root = self._root(values, person)
         chain = self.skeleton.path(root)[:-1]
@@ -110,7 +110,7 @@ class BvhHierarchy:
         )
 
     def positions(self, values: Array) -> Array:
-        """Return where all joints are (frame, J, 3), file units, from rows of numbers (frame, sum of channels)."""
+        """Return the positions of all joints (frame, J, 3), file units, from values (frame, sum of channels)."""
         places, turns = [np.zeros((0, 3))] * self.skeleton.num_joints, self._turns(list(self.skeleton.order), values)
         carried = dict(zip(self.skeleton.order, np.moveaxis(turns, 1, 0), strict=True))
         for joint in self.skeleton.order:
@@ -122,13 +122,13 @@ class BvhHierarchy:
 
     @cached_property
     def _starts(self) -> list[int]:
-        """The first column of each joint, and the number of columns."""
+        """First column of each joint, then the number of columns."""
         return [0, *np.cumsum([len(letters) for letters in self.channels]).tolist()]
 
     def _place(self, joint: int, values: Array) -> Array:
-        """Return the place of a joint in its parent's frame (frame, 3).
+        """Return the position of a joint in its parent's frame (frame, 3).
 
-        Zeros in place of an OFFSET that is not zero say nothing, but of the file's root.
+        Position channels that are all zero are ignored, except those of the file's root.
         """
         letters, start = self.channels[joint], self._starts[joint]
         place = np.tile(self.rest_offsets[joint], (len(values), 1))
@@ -144,7 +144,7 @@ class BvhHierarchy:
         return turn_joints(np.deg2rad(values[:, columns]), [self.channels[joint] for joint in joints])
 
     def _fixed_offsets(self, values: Array, kept: list[int], skeleton: Skeleton) -> tuple[Array, list[str]]:
-        """Return the median offsets of the joints below the root (J, 3), and notes on those that move."""
+        """Return the median offsets of the joints below the root (J, 3), and a note if some move."""
         offsets, away = self.rest_offsets[kept].copy(), np.zeros((len(kept), len(values)))
         for at, source in enumerate(kept):
             if at != skeleton.root and any(letter in "xyz" for letter in self.channels[source]):
@@ -165,7 +165,7 @@ class BvhHierarchy:
         return offsets, [f"{most}{others}: fixed at the median"] * bool(num_moving)
 
     def _left_out(self, root: int) -> list[str]:
-        """Name the branches beside the root on the nodes above it."""
+        """Return notes on other people and on branches that are left out."""
         notes = []
         if self.num_people > 1:
             notes.append(f"the file holds {self.num_people} people, this is the one of '{self._name(root)}'")
@@ -181,7 +181,7 @@ class BvhHierarchy:
         return self.skeleton.joint_names[joint]
 
     def _root(self, values: Array, person: int) -> int:
-        """Return the joint where a person's body begins; of what is no body the last of a chain that moves."""
+        """Return the root joint of a person; if there is no body, the last joint of the first chain that moves."""
         if not self._bodies:
             chain = [self.skeleton.root]
             while len(below := self._children(chain[-1])) == 1:
@@ -198,12 +198,12 @@ class BvhHierarchy:
         return chain[hips[0]] if hips else body
 
     def _children(self, joint: int) -> list[int]:
-        """Return the children of a joint that are no End Sites."""
+        """Return the children of a joint except End Sites."""
         return [child for child in self.skeleton.children(joint) if self._name(child) not in self.end_sites]
 
     @cached_property
     def _limbs(self) -> list[list[int]]:
-        """For each joint its children that begin a limb or more; targets of inverse kinematics (`ik_...`) do not."""
+        """For each joint its children that start a limb or more, except targets of inverse kinematics (`ik_...`)."""
         depth = [0] * self.skeleton.num_joints
         for joint in reversed(self.skeleton.order):
             depth[joint] = 1 + max((depth[child] for child in self._children(joint)), default=0)
@@ -218,7 +218,7 @@ class BvhHierarchy:
 
     @cached_property
     def _bodies(self) -> list[int]:
-        """The joints from which legs and spine of each person leave; none where the joints are no body."""
+        """The joint of each person where legs and spine branch; empty if there is no body."""
         return self._bodies_below(self.skeleton.root)
 
     def _bodies_below(self, joint: int) -> list[int]:
@@ -232,7 +232,7 @@ class BvhHierarchy:
             joint = limbs[0]
 
     def _is_body(self, joint: int) -> bool:
-        """Tell whether limbs leave a joint, or the first below it that has several, one of which has limbs itself."""
+        """Return whether a joint, or the first below it with several limbs, has a limb that branches again."""
         while len(self._limbs[joint]) == 1:
             joint = self._limbs[joint][0]
         below = [other for limb in self._limbs[joint] for other in self.skeleton.branch(limb)]

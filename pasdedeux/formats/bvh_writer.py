@@ -12,10 +12,10 @@ _ROTATION_ORDER = "ZXY"
 
 
 def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, decimals: int = 6) -> str:
-    """Return a motion as BVH text: lengths in file units (centimetres by default), angles in degrees, Y up, true rate.
+    """Return a motion as BVH text: lengths in file units (centimetres by default), angles in degrees, Y up.
 
-    A leaf whose name ends in `_end` and that never turns is written as an End Site; every other leaf gets an End Site
-    without offset.  `read_bvh` gives the same motion back, to half a unit of the last decimal.
+    A leaf named `<parent>_end` that never turns is written as an End Site; every other leaf gets an End Site without
+    offset.  `read_bvh` returns the same motion, to half a unit of the last decimal.
     """
     skeleton = motion.skeleton
     offsets = motion.rest_offsets_m * units_per_metre

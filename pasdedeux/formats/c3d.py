@@ -1,8 +1,8 @@
 """C3D: joints of people as labelled points, `A:pelvis`, written and read.
 
-An own reader, because ezc3d 1.7, the library considered, reads from a path only and ends the process, or takes all
-memory, on some damaged files.  The tests read what is written here with it, and write with it what is read here.
-The format is that of c3d.org's user guide; only files of Intel processors with floats or integers are read.
+The library ezc3d 1.7 is not used: it reads from a path only, and on some damaged files it ends the process or takes all
+memory.  The tests use it as an oracle, for reading and for writing.  The format is that of the user guide of c3d.org;
+only files of Intel processors, with floats or integers, are read.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from pasdedeux.plain_text import counted
 _BLOCK = 512
 _MAGIC, _INTEL = 0x50, 84
 _MAX_FRAMES = 0xFFFF
-"""Frames that the header can count; longer files say the number elsewhere, or not at all."""
+"""Maximum frame number in the header; longer files state the number elsewhere, or not at all."""
 _PER_LIST = 255
-"""Labels that one parameter holds; more go on in LABELS2, LABELS3, ..."""
+"""Maximum number of labels in one parameter; more are in LABELS2, LABELS3, ..."""
 _LONG_FRAMES = ("POINT:LONG_FRAMES", "POINT:FRAMES")
 _DTYPES = {1: "<i1", 2: "<i2", 4: "<f4"}
 
@@ -38,7 +38,7 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
         positions_m: Positions (frame, point, 3), metres.
         labels: Names of the points.
         rate_hz: Frames per second.
-        facts: Further parameters, texts, of the group PASDEDEUX, by their names.
+        facts: Further parameters (text) of the group PASDEDEUX, by name.
     """
     frames, count, _ = positions_m.shape
     shown_frames = min(frames, _MAX_FRAMES)
@@ -83,7 +83,7 @@ class _Group:
         self.last = 0
 
     def add(self, name: str, values: str | Sequence[str] | Array) -> int:
-        """Add a parameter - numbers, a text or texts - and return where in the group's bytes its values begin."""
+        """Add a parameter (numbers, a text or texts) and return the offset of its values in the group."""
         if isinstance(values, np.ndarray):
             kind, shape, raw = (4 if values.dtype.kind == "f" else values.dtype.itemsize), [], values.tobytes()
         else:
@@ -104,7 +104,7 @@ def read_points(data: bytes) -> LabelledPoints:
     """Read the points of a C3D file.
 
     Raises:
-        FormatError: The file is empty, damaged, of another processor, or holds analog data only.
+        FormatError: The file is empty, damaged, from another processor, or has analog data only.
     """
     if not data:
         raise FormatError("this C3D file is empty")
@@ -148,7 +148,7 @@ def _read_points(data: bytes) -> LabelledPoints:
             f"this is a damaged C3D file: it ends in frame {max(len(body), 0) // max(row, 1)} of {frames}"
         )
     values = np.frombuffer(body, wide).reshape(frames, -1)[:, : 4 * count].reshape(frames, count, 4)
-    with np.errstate(all="ignore"):  # what is not finite is refused where it is used
+    with np.errstate(all="ignore"):  # values that are not finite are refused later
         values = values.astype(np.float64)
         positions = values[..., :3] * (1.0 if is_float else scale)
     positions[values[..., 3] < 0] = np.nan  # a residual below zero: the point was not seen
@@ -157,9 +157,9 @@ def _read_points(data: bytes) -> LabelledPoints:
 
 
 def _num_frames(parameters: Mapping[str, Array | list[str]], first: int, last: int, body: bytes, row: int) -> int:
-    """Return how many frames of `row` bytes there are, also where the 16 bits of the header are too few.
+    """Return the number of frames, each of `row` bytes, also if it exceeds the 16 bits of the header.
 
-    Then a parameter says it; else the data do, whose last block is filled up with zeros.
+    In that case it is in a parameter, else it follows from the data, whose last block is padded with zeros.
     """
     frames = (last - first + 1) & _MAX_FRAMES or _MAX_FRAMES + 1
     stated = [float(np.ravel(parameters[name])[0]) for name in _LONG_FRAMES if name in parameters]
@@ -231,4 +231,4 @@ C3D = MotionFormat(
     count_people=lambda data: read_points(data).num_people,
     has_rotations=False,
 )
-"""Labelled points of joints: it states its rate and its unit, not which axis points up."""
+"""Joints as labelled points; the file states rate and unit, but not the up axis."""

@@ -15,15 +15,15 @@ from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_r
 
 _SHAPES = {"matrix": (3, 3), "rotation": (3,), "translation": (3,)}
 _NUMS_DISTORTIONS = (0, 4, 5, 8, 12, 14)
-"""Numbers of coefficients that OpenCV knows."""
+"""Numbers of distortion coefficients that OpenCV supports."""
 _NO_NAMES = {"int", "ext", "img", "json", "keypoints", "pose", "video", "synchronized", "annotations"}
-"""Words that these programs add to the names of cameras and files."""
+"""Words that these programs add to names of cameras and files; ignored."""
 _SHAPE_TOLERANCE = 0.01
-"""Images whose width over height differs by a larger part are of another shape."""
+"""Largest relative difference of the aspect ratios of images of one camera."""
 _ONE_PLACE_M = 0.01
-"""Cameras that are nearer to each other are at one place: Pose2Sim writes zeros until extrinsics are known."""
+"""Cameras nearer to each other have no known positions: Pose2Sim writes zeros until extrinsics are known."""
 _MILLIMETRES_FROM = 100.0
-"""Cameras of which one is farther from the origin are given in millimetres, as Anipose and freemocap do."""
+"""If a camera is farther from the origin, the unit is millimetres, as written by Anipose and freemocap."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class CalibratedCamera:
     """One camera by OpenCV's conventions: x right, y down, z away from the camera.
 
     Args:
-        name: As the file has it.
+        name: Its name in the file.
         table: Name of its table.
         matrix: Lens (3, 3), pixels.
         distortions: Coefficients of OpenCV's distortion (n,).
         rotvec: Rotation from the world to the camera (3,).
-        translation_m: What is added after it (3,), metres.
-        size_px: Width and height of the images that it is of; None if not stated.
+        translation_m: Translation after the rotation (3,), metres.
+        size_px: Width and height of the calibration images; None if not stated.
     """
 
     name: str
@@ -50,11 +50,11 @@ class CalibratedCamera:
 
     @property
     def position_m(self) -> Array:
-        """Place in the world (3,)."""
+        """Position in the world (3,)."""
         return -rotmat_from_unitquat(unitquat_from_rotvec(self.rotvec)).T @ self.translation_m
 
     def for_images(self, size_px: tuple[float, float] | None) -> CalibratedCamera:
-        """Return it for images of another size; as it is where one of the sizes is not known.
+        """Return the camera scaled to images of another size; unchanged if one of the sizes is unknown.
 
         Raises:
             InputError: The images have another shape.
@@ -74,12 +74,12 @@ class CalibratedCamera:
 
     @property
     def focal_px(self) -> float:
-        """The focal length of the plain lens: the geometric mean of both."""
+        """Focal length of the plain lens: geometric mean of both."""
         return float(np.sqrt(self.matrix[0, 0] * self.matrix[1, 1]))
 
     @property
     def plain_matrix(self) -> Array:
-        """The lens (3, 3) without distortion or skew, of one focal length, that has its principal point."""
+        """Lens matrix (3, 3) without distortion or skew, with one focal length and the same principal point."""
         return np.array([[self.focal_px, 0.0, self.matrix[0, 2]], [0.0, self.focal_px, self.matrix[1, 2]], [0, 0, 1]])
 
     @property
@@ -87,7 +87,7 @@ class CalibratedCamera:
         return not self.distortions.any() and np.array_equal(self.matrix, self.plain_matrix)
 
     def undistorted_px(self, px: Array) -> Array:
-        """Return pixels (*batch, 2) as the plain lens would have them; NaN stays NaN."""
+        """Convert pixels (*batch, 2) of the images to those of the plain lens; NaN stays NaN."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         flat = np.array(px, dtype=np.float64).reshape(-1, 1, 2)
@@ -97,7 +97,7 @@ class CalibratedCamera:
         return np.asarray(flat.reshape(np.shape(px)))
 
     def distorted_px(self, px: Array) -> Array:
-        """Return where pixels (*batch, 2) of the plain lens are in its images; NaN stays NaN."""
+        """Convert pixels (*batch, 2) of the plain lens to those of the images; NaN stays NaN."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         flat = np.array(px, dtype=np.float64).reshape(-1, 2)
@@ -111,11 +111,11 @@ class CalibratedCamera:
 def read_calibration(data: bytes) -> list[CalibratedCamera]:
     """Return the cameras of a `calib.toml`, in the order of the file.
 
-    Each camera is a table with `matrix`, `rotation` (a rotation vector), `translation` and, where there is any,
-    `name`, `size` and `distortions`.  Tables without `matrix`, such as `metadata`, and other keys are left out.
+    Each camera is a table with `matrix`, `rotation` (a rotation vector), `translation` and optionally `name`, `size`
+    and `distortions`.  Tables without `matrix`, such as `metadata`, and other keys are ignored.
 
     Raises:
-        InputError: The file is no TOML, has no camera, or one lacks a number or has a lens that is not supported.
+        InputError: The file is not TOML, has no camera, or a camera lacks a number or has an unsupported lens.
     """
     try:
         tables = tomllib.loads(data.decode("utf-8-sig"))
@@ -144,7 +144,7 @@ def read_calibration(data: bytes) -> list[CalibratedCamera]:
 
 
 def calibrated_camera(text: str, table: str, size_px: tuple[float, float] | None) -> CalibratedCamera:
-    """Return the camera of a table of a calibration (TOML), for images of this width and height if they are known.
+    """Return the camera in a table of a calibration (TOML), scaled to images of this size if it is known.
 
     Raises:
         InputError: As `read_calibration`, or the images have another shape.
@@ -154,14 +154,14 @@ def calibrated_camera(text: str, table: str, size_px: tuple[float, float] | None
 
 
 def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) -> tuple[list[CalibratedCamera], bool]:
-    """Return the cameras that files of these names are of, and whether names say so; else they are in one order.
+    """Return the camera of each file, and whether they were matched by name; else they are in the same order.
 
-    A camera and a file fit if the words of one name, `name` or else the table's, are among those of the other:
-    `int_cam01_img` and `cam1.mp4`.  Words with which all files, or all cameras, begin or end do not count.  Of cameras
-    that fit, those count that have most words in common.
+    A camera and a file match if the words of one name (`name`, else the table's) occur in the other: `int_cam01_img`
+    and `cam1.mp4`.  Words with which all files, or all cameras, begin or end are ignored.  The camera with most common
+    words is taken.
 
     Raises:
-        InputError: Names fit in part only, numbers differ and no names fit, or cameras are at one place.
+        InputError: Only some names match, no names match and the numbers differ, or cameras are at one place.
     """
     fits: list[list[CalibratedCamera]] = [[] for _ in names]
     for key in ("name", "table"):
@@ -200,14 +200,14 @@ def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) ->
 def _fitting(
     words: Sequence[str], cameras: Sequence[CalibratedCamera], names: Sequence[Sequence[str]]
 ) -> list[CalibratedCamera]:
-    """Return the cameras of these names that fit a file with these words best."""
+    """Return the cameras whose names match the words of a file best."""
     common = [min(len(words), len(name)) if _is_within(words, name) or _is_within(name, words) else 0 for name in names]
     most = max(common, default=0)
     return [camera for camera, count in zip(cameras, common, strict=True) if count == most > 0]
 
 
 def _words(name: str) -> tuple[str, ...]:
-    """Return words and numbers of a name, in lower case, but those that say nothing.
+    """Return the words and numbers of a name, in lower case, except ignored ones.
 
     >>> _words("int_cam01_img"), _words("vid-camA"), _words("Camera_000_synchronized")
     (('cam', '1'), ('vid', 'cam', 'a'), ('camera', '0'))
@@ -219,7 +219,7 @@ def _words(name: str) -> tuple[str, ...]:
 
 
 def _words_without_capitals(name: str) -> tuple[str, ...]:
-    """Return words and numbers of a name, where capitals begin no word.
+    """Return the words and numbers of a name; capitals do not start a new word.
 
     >>> _words_without_capitals("GoPro1")
     ('gopro', '1')
@@ -228,7 +228,7 @@ def _words_without_capitals(name: str) -> tuple[str, ...]:
 
 
 def _telling(names: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return names without the words that all begin or end with; as they are where nothing would be left of one.
+    """Remove words with which all names begin or end; unchanged if a name would become empty.
 
     >>> _telling([("take", "1", "left"), ("take", "1", "right")])
     [('left',), ('right',)]
@@ -242,7 +242,7 @@ def _telling(names: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
 
 
 def _is_within(words: Sequence[str], others: Sequence[str]) -> bool:
-    """Tell whether words follow each other among others; no words do not."""
+    """Return whether some words occur in others one after another; false for no words."""
     starts = range(len(others) - len(words) + 1)
     return bool(words) and any(tuple(others[at : at + len(words)]) == tuple(words) for at in starts)
 

@@ -1,4 +1,4 @@
-"""How a camera that turns and zooms moves its image, and points and images without that motion."""
+"""The image motion of a camera that turns and zooms, and its removal from points."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from pasdedeux.arrays import Array, Integers
 
 FOCAL_OVER_WIDTH = 0.72
-"""Focal length over the longer side of the image if it is not known: a 26 mm phone lens on 36 mm film."""
+"""Assumed focal length over the longer side of the image: a 26 mm phone lens on 36 mm film."""
 
 
 @dataclass(frozen=True)
 class CameraMotion:
     """The motion of a camera over the frames of a sequence: a homography for each frame.
 
-    Pan, tilt and roll turn the camera, and zoom scales its image.  The steady image is that of a camera that keeps its
+    Pan, tilt and roll turn the camera, and zoom scales its image.  The steady image is that of a camera that keeps the
     typical direction and zoom.
 
     Args:
-        first_frame: Frame of the sequence that the first homography is of.
-        steady_from_image: Matrices (frame, 3, 3) that take pixels (x, y, 1) of a frame to those of the steady image,
-            last entry 1.
+        first_frame: Frame of the sequence for the first homography.
+        steady_from_image: Matrices (frame, 3, 3) that map pixels (x, y, 1) of a frame to the steady image, last entry
+            1.
         image_size_px: Width and height of the images.
     """
 
@@ -36,19 +36,19 @@ class CameraMotion:
         return self.first_frame + np.arange(len(self.steady_from_image))
 
     def at(self, frames: Integers) -> Array:
-        """Return the matrices (n, 3, 3) of some frames; frames outside get that of the nearest frame."""
+        """Return the matrices (n, 3, 3) of some frames; frames outside use the nearest one."""
         return np.asarray(self.steady_from_image[np.clip(frames - self.first_frame, 0, len(self.frames) - 1)])
 
     def steady_px(self, frames: Integers, points_px: Array) -> Array:
-        """Return pixels (frame, *batch, 2) of these frames (frame,) in the steady image; NaN stays NaN."""
+        """Map pixels (frame, *batch, 2) of these frames (frame,) to the steady image; NaN stays NaN."""
         return apply(self.at(frames), points_px)
 
     def image_px(self, frames: Integers, steady_px: Array) -> Array:
-        """Return where points (frame, *batch, 2) of the steady image are in the images of these frames (frame,)."""
+        """Map points (frame, *batch, 2) of the steady image to the images of these frames (frame,)."""
         return apply(inverse(self.at(frames)), steady_px)
 
     def at_times(self, numbers: Integers, places: Array) -> CameraMotion:
-        """Return the motion at other moments: for each of these successive frames a place (frame,) among its own."""
+        """Resample the motion: `places` (frame,) are old frame numbers, with fractions, of the new frames `numbers`."""
         flat = self.steady_from_image.reshape(len(self.frames), -1)
         matrices = np.stack([np.interp(places, self.frames, entry) for entry in flat.T], axis=-1)
         return CameraMotion(int(numbers[0]), matrices.reshape(-1, 3, 3), self.image_size_px)
@@ -69,24 +69,24 @@ class CameraMotion:
 
     @property
     def roll_rad(self) -> Array:
-        """How far the steady image is turned against each image (frame,), clockwise."""
+        """Clockwise rotation of the steady image against each image (frame,), radians."""
         across = self._middle_px[:, 1] - self._middle_px[:, 0]
         return np.asarray(np.arctan2(across[:, 1], across[:, 0]))
 
     @property
     def zoom(self) -> Array:
-        """Magnification of each image beside the steady one (frame,)."""
+        """Magnification of each image relative to the steady one (frame,)."""
         sides = self._middle_px[:, 1:] - self._middle_px[:, :1]
         return np.asarray(1.0 / np.sqrt(np.abs(np.linalg.det(sides))))
 
     @property
     def _middle_px(self) -> Array:
-        """Where the middle of each image and the pixels beside and below it are in the steady one (frame, 3, 2)."""
+        """Centre of each image, and the points one pixel right and below, in the steady image (frame, 3, 2)."""
         points = 0.5 * np.array(self.image_size_px) + np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
         return self.steady_px(self.frames, np.broadcast_to(points, (len(self.frames), 3, 2)))
 
     def in_words(self, *, is_subtracted: bool = True) -> str:
-        """Say how the camera moves, and whether that is subtracted."""
+        """Describe the motion of the camera, and whether it is subtracted."""
         across, down = np.ptp(self.displacement_px, axis=0)
         low, high = self.zoom.min(), self.zoom.max()
         return (
@@ -102,7 +102,7 @@ class CameraMotion:
 
 
 def apply(matrices: Array, points_px: Array) -> Array:
-    """Return where homographies (*batch, 3, 3) take points (*batch, *others, 2); NaN stays NaN."""
+    """Map points (*batch, *others, 2) by homographies (*batch, 3, 3); NaN stays NaN."""
     points = np.asarray(points_px, dtype=np.float64)
     batch = matrices.shape[:-2]
     flat = points.reshape(*batch, -1, 2)

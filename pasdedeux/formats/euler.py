@@ -1,4 +1,4 @@
-"""Euler angles as motion files write them: rotations about the listed axes of the moving frame, one after the other."""
+"""Euler angles of motion files: successive rotations about axes of the moving frame."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pasdedeux.kinematics.rotations import identity_unitquat
 def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
     """Return unit quaternions (*batch, 4) of the product R[axes[0]] R[axes[1]] ... of angles (*batch, len(axes)).
 
-    The first axis listed is the outermost, as in the CHANNELS of a BVH file; no axes give the identity.  To the last
-    bit it is what scipy's `Rotation.from_euler` returns, in an eighth of its time.
+    The first axis is the outermost, as in the CHANNELS of a BVH file; no axes give the identity.  To the last
+    bit the result is that of scipy's `Rotation.from_euler`, in an eighth of the time.
     """
     batch = angles_rad.shape[:-1]
     if not axes or 0 in batch:
@@ -30,7 +30,7 @@ def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
 
 @compiled()
 def _compose(angles_rad: Array, axes: Integers) -> Array:
-    """Return unit quaternions (row, 4) of rows of angles about axes that are numbered from X."""
+    """Return unit quaternions (row, 4) of rows of angles about axes (X is 0)."""
     turned = np.empty((len(angles_rad), 4))
     for row in range(len(angles_rad)):
         q = _about(angles_rad[row, 0], axes[0])
@@ -50,10 +50,10 @@ def turn_joints(angles_rad: Array, channels: Sequence[str], *, is_first_outermos
     """Return local rotations (frame, J, 4) of rows of channels, joint after joint.
 
     Args:
-        angles_rad: Rows (frame, sum of channels) of radians; what is not an angle is not used.
-        channels: For each joint a letter a column: X, Y, Z are angles about these axes, others are none.
-        is_first_outermost: Whether the first angle of a joint turns about the axes of its parent, as in BVH; else the
-            last does, as in AMC.
+        angles_rad: Values (frame, sum of channels), angles in radians; other channels are ignored.
+        channels: For each joint a letter per column: X, Y, Z for angles about these axes, others for other channels.
+        is_first_outermost: Whether the first angle of a joint is about an axis of its parent, as in BVH; else the last
+            is, as in AMC.
     """
     step = 1 if is_first_outermost else -1
     turned = identity_unitquat(len(angles_rad), len(channels))
@@ -62,7 +62,7 @@ def turn_joints(angles_rad: Array, channels: Sequence[str], *, is_first_outermos
         turns = [at for at, letter in enumerate(letters) if letter in "XYZ"][::step]
         alike["".join(letters[at] for at in turns)].append((joint, [column + at for at in turns]))
         column += len(letters)
-    for axes, joints in alike.items():  # those that turn about the same axes at once
+    for axes, joints in alike.items():  # joints with the same axes together
         columns = [own for _, own in joints]
         turned[:, [joint for joint, _ in joints]] = unitquat_from_euler(angles_rad[:, columns], axes)
     return turned
@@ -71,8 +71,8 @@ def turn_joints(angles_rad: Array, channels: Sequence[str], *, is_first_outermos
 def euler_from_unitquat(unitquat: Array, axes: str) -> Array:
     """Return angles (*batch, 3) in radians whose product R[axes[0]] R[axes[1]] R[axes[2]] is the rotation (*batch, 4).
 
-    The middle angle lies within a quarter turn.  Where it is a quarter turn the outer two share one axis: the last one
-    is then 0.  `axes` is a permutation of XYZ.
+    The middle angle is within a quarter turn.  If it is a quarter turn, the outer two axes coincide and the last angle
+    is 0.  `axes` is a permutation of XYZ.
     """
     from scipy.spatial.transform import Rotation
 

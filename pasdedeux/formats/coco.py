@@ -1,4 +1,4 @@
-"""Reading COCO keypoint JSON, and what mmpose, ViTPose, Detectron2, Ultralytics and AlphaPose write in its form."""
+"""Reading COCO keypoint JSON and its variants by mmpose, ViTPose, Detectron2, Ultralytics and AlphaPose."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 _ID_KEYS = ("track_id", "idx", "person_id", "instance_id")
-"""Where a person's number stands: COCO's and trackers' `track_id`, AlphaPose's `idx`."""
+"""Keys of a person's number: `track_id` of COCO and trackers, `idx` of AlphaPose."""
 _FRAME_KEYS = ("frame_id", "frame_index", "frame")
 _IMAGE_KEYS = ("image_id", "annotations", "images", "instances")
 _LANDMARK_KEYS = ("landmarks", "pose_landmarks")
@@ -36,7 +36,7 @@ _LANDMARK_KEYS = ("landmarks", "pose_landmarks")
 
 @dataclass(frozen=True)
 class _Item:
-    """A person as the file lists it, in the image with this id, number or name."""
+    """An entry for a person in the image with this id, number or name."""
 
     image: Any
     content: dict[str, Any]
@@ -44,14 +44,14 @@ class _Item:
 
 
 def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
-    """Read COCO keypoints: annotations, or results as mmpose, ViTPose, Detectron2, Ultralytics, AlphaPose write them.
+    """Read COCO keypoints: annotations, or results of mmpose, ViTPose, Detectron2, Ultralytics or AlphaPose.
 
-    With a list `images`, the third number of a keypoint is COCO's visibility (0 means missing) or a confidence, and an
-    image is of its `video_id` and the frame `frame_id`; else the frame that its file name tells, else of its place in
-    the list.  CVAT writes `track_id` and `keyframe` as `attributes`; what is no key frame is interpolated.  In a list
-    of results the third number is a confidence, and `image_id` is the frame or the name of the image.  mmpose's
-    own form has a list of frames with `instances`, whose keypoints and `keypoint_scores` stand apart.  People are
-    numbered by `track_id` or AlphaPose's `idx` where everybody has one of their own, else by their order.
+    In a file with a list `images`, the third number of a keypoint is COCO's visibility (0 means missing) or a
+    confidence.  Video and frame of an image are its `video_id` and `frame_id`, else follow from its file name, else
+    from its position in the list.  CVAT writes `track_id` and `keyframe` as `attributes`; other frames than key frames
+    are interpolated.  In a list of results the third number is a confidence, and `image_id` is the frame or the name of
+    the image.  The format of mmpose has a list of frames with `instances`, with separate `keypoint_scores`.  People are
+    numbered by `track_id` or AlphaPose's `idx` if everybody has a different one, else by their order.
     """
     content = parse_json(data, "COCO file")
     named = content if isinstance(content, dict) else {"instance_info": content}
@@ -89,7 +89,7 @@ def read_coco(data: bytes | str, sequence_id: str, layout: str | KeypointLayout 
 
 
 def _names_of_categories(content: dict[str, Any]) -> dict[Any, tuple[str, ...]]:
-    """Return the names of keypoints by the category that has them."""
+    """Return the keypoint names of each category."""
     categories = content.get("categories")
     named = [category for category in categories if isinstance(category, dict)] if isinstance(categories, list) else []
     return {
@@ -102,7 +102,7 @@ def _names_of_categories(content: dict[str, Any]) -> dict[Any, tuple[str, ...]]:
 
 
 def _names_of(person: dict[str, Any], categories: dict[Any, tuple[str, ...]], count: int) -> tuple[str, ...] | None:
-    """Return the names of a person's keypoints, None where no category gives so many."""
+    """Return the names of a person's keypoints; None if no category has `count` names."""
     category = person.get("category_id")
     fitting = [names for number, names in categories.items() if category in (number, None) or len(categories) == 1]
     return next((names for names in fitting if len(names) == count), None)
@@ -111,8 +111,8 @@ def _names_of(person: dict[str, Any], categories: dict[Any, tuple[str, ...]], co
 def read_image_results(data: bytes) -> list[Detection]:
     """Read the people of one image: `keypoints` as points with `keypoint_scores`, triples, or lists x, y, visible.
 
-    mmpose writes such a list for each image, alone or as `instance_info` beside its `meta_info`; Ultralytics' results
-    give it by `to_json`, with objects that are no people among them.
+    mmpose writes such a list for each image, alone or as `instance_info` beside `meta_info`; so does `to_json` of
+    Ultralytics' results, which also contains other objects.
     """
     content = parse_json(data, "JSON file")
     people = content.get("instance_info") if isinstance(content, dict) else content
@@ -131,8 +131,8 @@ def read_image_results(data: bytes) -> list[Detection]:
 def write_coco(frames: AnnotatedFrames) -> str:
     """Return annotations of one film as COCO keypoints, images named by their frames.
 
-    Beside COCO's visibility are `keypoint_scores` and `keypoint_status` (`KeypointStatus`), which other tools pass
-    over; without them, a keypoint of a low confidence comes back as labelled but hidden.
+    Beside COCO's visibility there are `keypoint_scores` and `keypoint_status` (`KeypointStatus`), which other tools
+    ignore; without them, a keypoint of low confidence would be read back as labelled but hidden.
     """
     names = get_keypoint_layout(frames.layout).keypoint_names
     size = next(iter(frames.image_size_px.values()), None)
@@ -168,7 +168,7 @@ def write_coco(frames: AnnotatedFrames) -> str:
 
 
 def _own_status(content: dict[str, Any], where: str) -> tuple[int, ...] | None:
-    """Return the statuses that `write_coco` wrote, None where another tool did."""
+    """Return the statuses in a file of `write_coco`; None in files of other tools."""
     status, scores = content.get("keypoint_status"), content.get("keypoint_scores")
     if not isinstance(status, list) or not isinstance(scores, list):
         return None
@@ -197,20 +197,21 @@ COCO = AnnotationFormat(
     recognises=_is_coco,
     read_file=read_coco,
 )
-"""COCO keypoints: they may state the size of the images, seldom the rate."""
+"""COCO keypoints; the file may state the image size, rarely the rate."""
 IMAGE_RESULTS = AnnotationFormat(
     name="image_results",
     suffixes=(".json",),
     recognises=_is_image_result,
     read_people=read_image_results,
 )
-"""A folder of results, a file for each image that does not say itself of which it is."""
+"""A folder of results, a file for each image; the file name identifies the image."""
 
 
 def _people(listed: list[Any]) -> Iterator[_Item]:
-    """Yield those who have keypoints, of a list of annotations, of results, or of frames with `instances`.
+    """Yield people with keypoints from a list of annotations, of results, or of frames with `instances`.
 
-    COCO has an empty list for crowds, and other tools boxes without keypoints; a file of nothing else is refused.
+    COCO has an empty list for crowds, and other tools write boxes without keypoints.  A file that has only boxes is
+    refused.
     """
     missing = ""
     for index, one in enumerate(listed):
@@ -235,7 +236,7 @@ def _people(listed: list[Any]) -> Iterator[_Item]:
 
 
 def _keypoint_table(content: dict[str, Any], where: str) -> Array:
-    """Return the keypoints (K, 3) of a person: triples end to end, or points or lists x and y with scores apart."""
+    """Return the keypoints (K, 3) of a person: flat triples, or points or lists x and y with separate scores."""
     numbers, scores = content["keypoints"], content.get("keypoint_scores")
     if isinstance(numbers, dict):
         x, y, scores = (numbers.get(key) for key in ("x", "y", "visible"))
@@ -256,7 +257,7 @@ def _keypoint_table(content: dict[str, Any], where: str) -> Array:
 
 
 def _person_id(content: dict[str, Any]) -> int | str | None:
-    """Return the number or name of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
+    """Return the number or name of a person; in AlphaPose it may be a list, or a whole number written as 1.0."""
     stated = {**_attributes(content), **content}
     value = next((stated[key] for key in _ID_KEYS if stated.get(key) is not None), None)
     while isinstance(value, list):
@@ -267,15 +268,15 @@ def _person_id(content: dict[str, Any]) -> int | str | None:
 
 
 def _attributes(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the attributes that CVAT gives an annotation."""
+    """Return the attributes of an annotation of CVAT."""
     attributes = content.get("attributes")
     return attributes if isinstance(attributes, dict) else {}
 
 
 def _place_of_number(number: int) -> Place | None:
-    """Return video and frame of a number, None of one that is none.
+    """Return video and frame of an image number, or None if it is not one.
 
-    PoseTrack's have eleven digits: after a 1, six of the video and four of the frame.
+    Numbers of PoseTrack have eleven digits: a 1, six for the video and four for the frame.
     """
     if number <= MAX_COUNT:
         return "", number
@@ -283,7 +284,7 @@ def _place_of_number(number: int) -> Place | None:
 
 
 def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:
-    """Return video and frame by what results call their images: numbers are frames, names tell theirs."""
+    """Return video and frame of the images in results: numbers are frames, names contain the frame."""
     for item in items:
         is_number = isinstance(item.image, int) and not isinstance(item.image, bool) and item.image >= 0
         if not (is_number and _place_of_number(item.image)) and not (isinstance(item.image, str) and item.image):
@@ -299,9 +300,9 @@ def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:
 
 
 def _places_of_images(images: object) -> tuple[dict[int | str, Place], dict[str, tuple[int, int]]]:
-    """Return video and frame by image id, and the size of the images of each video where all of them have the same.
+    """Return video and frame by image id, and the image size of each video if all its images have the same.
 
-    What images do not state themselves their file names tell, where those are different, else their order.
+    If images do not state video and frame, these follow from different file names, else from the order.
     """
     if not isinstance(images, list):
         raise FormatError("this is not a COCO file: it has no list 'images'")

@@ -1,7 +1,7 @@
-"""CVAT's XML (1.1): skeletons of single images, and tracks of skeletons with key frames and what CVAT put between.
+"""CVAT's XML (1.1): skeletons in single images, and tracks of skeletons with key frames.
 
-A track is a person.  Its key frames are annotated; between them are CVAT's own linear places, `interpolated`.  Points
-that are `outside` are missing, occluded ones have half the confidence.  Labels of points are names of joints.
+A track is a person.  Its key frames are annotated; between them, CVAT interpolates linearly.  Points that are `outside`
+are missing, occluded points have half the confidence.  Labels of points are names of joints.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 OCCLUDED = 0.5
-"""Confidence of an occluded point, as of COCO's labelled but hidden one."""
+"""Confidence of an occluded point, as of a labelled but hidden one of COCO."""
 
 Point = tuple[float, float, float, float]
 
@@ -33,7 +33,7 @@ def read_cvat(
     """Read the skeletons of CVAT for video or for images.
 
     Raises:
-        FormatError: It is no XML, declares entities, which no tool writes, or names joints of no layout.
+        FormatError: It is not XML, declares entities (no tool writes them), or has names of joints of no layout.
     """
     root = parse_xml(data, "CVAT file")
     if root.tag != "annotations":
@@ -68,7 +68,7 @@ def read_cvat(
 
 
 def write_cvat(frames: AnnotatedFrames) -> str:
-    """Return annotations of one film as tracks of CVAT; annotated and detected frames are key frames."""
+    """Write annotations of one film as tracks of CVAT; annotated and detected frames become key frames."""
     names = get_keypoint_layout(frames.layout).keypoint_names
     sizes = set(frames.image_size_px.values())
     lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "  <version>1.1</version>"]
@@ -96,10 +96,11 @@ def write_cvat(frames: AnnotatedFrames) -> str:
 
 
 def parse_xml(data: bytes | str, what: str) -> ElementTree.Element:
-    """Return the root of an XML text without a document type: entities grow without bound or name files.
+    """Return the root of an XML text.
 
     Raises:
-        FormatError: It is not well formed, or declares a document type.
+        FormatError: It is not well formed, or declares a document type, whose entities may expand without bound or read
+            files.
     """
     text = decode(data, what)
     at = text.find("<!DOCTYPE")
@@ -139,7 +140,7 @@ def _add(
 
 
 def _places(images: Sequence[ElementTree.Element]) -> list[Place]:
-    """Return video and frame of each image: as its name tells, where names are numbered, else its id."""
+    """Return video and frame of each image from the names, if they are different, else from the ids."""
     names = [image.get("name", "") for image in images]
     if len(set(names)) == len(names) and all(names):
         places: Mapping[str, Place] = places_of_names(names)

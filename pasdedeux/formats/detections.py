@@ -1,6 +1,6 @@
-"""The one form of what detectors write: a row for each person in each image, and how rows become sequences.
+"""Detections: a row for each person in each image, and their conversion to annotated sequences.
 
-Every reader of a detector's files ends here, so that layouts, people and frame numbers are found in one place.
+All readers of detectors' files use this module, so layouts, people and frames are determined in one place.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from pasdedeux.skeletons.layouts import (
 )
 
 MIN_NAMED = 6
-"""Joints whose names must be known for a layout to be told by names."""
+"""Minimum number of joints with known names from which a layout is detected."""
 _MAX_LISTED = 12
-"""Names that a message lists."""
+"""Maximum number of names in a message."""
 _NUM_FACE, _MAX_FACE = 11, 0.33
-"""Landmarks of MediaPipe before the shoulders, and their distance from the nose against that of the shoulders: about
-0.2 on a face, and 0.4 and more where other layouts have shoulders, elbows and wrists."""
+"""Number of MediaPipe's landmarks before the shoulders, and their maximum distance from the nose, relative to that of
+the shoulders: about 0.2 on a face, 0.4 and more if they are shoulders, elbows and wrists of another layout."""
 _SHORTER = 0.87
-"""Ratio of lengths by which one of equally frequent layouts is taken: dancers in the right one come to 0.84."""
+"""Ratio of lengths below which one of equally common layouts is taken; for dancers in the right one it is 0.84."""
 CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
-"""COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible; without any 2 in a file, 1 is visible."""
+"""Of COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible; in a file without 2, 1 is visible."""
 MAX_CONFIDENCE = 10.0
-"""Confidences are heights of a heat map: about 1 at most, but not exactly."""
+"""Maximum confidence in a file: heights of heat maps may exceed 1."""
 
 _SIZE_KEYS = (("width", "height"), ("image_width", "image_height"), ("frame_width", "frame_height"))
 _RATE_KEYS = ("rate_hz", "fps", "frame_rate", "frameRate")
@@ -63,11 +63,11 @@ class Detection:
 
     Args:
         place: Video and frame.
-        person_id: Number or name that the file gives the person, None where it gives none.
+        person_id: Number or name of the person in the file; None if there is none.
         table: (K, 3) x, y and confidence; a row with NaN or confidence 0 is not detected.
-        where: The place in the file, for messages.
-        status: Where its keypoints come from (K,), `KeypointStatus`; None where the file does not say.
-        names: Names of its keypoints (K,) as the file spells them, None where it names none.
+        where: Position in the file, for messages.
+        status: `KeypointStatus` of its keypoints (K,); None if the file does not state it.
+        names: Names of its keypoints (K,) as spelled in the file; None if it has none.
     """
 
     place: Place
@@ -89,8 +89,8 @@ class Arranged:
     Args:
         layout: The layout.
         table: (row, K, 3) x, y and confidence; NaN and 0 where missing.
-        status: (row, K) of `KeypointStatus`; None where not all say.
-        remarks: What a user should know, in words: names of joints that were left out.
+        status: (row, K) of `KeypointStatus`; None unless all detections have it.
+        remarks: Notes for the user, such as names of joints that were left out.
     """
 
     layout: KeypointLayout
@@ -101,7 +101,7 @@ class Arranged:
 
 @dataclass(frozen=True)
 class Footage:
-    """Rate and size of the images of a video; None where unknown."""
+    """What is known of a video; None for what is unknown."""
 
     image_size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
@@ -109,10 +109,10 @@ class Footage:
     fov_deg: float | None = None
 
     def focal_of(self, image_size_px: tuple[int, int] | None) -> float | None:
-        """Return the focal length in an image of this size, pixels; None where nothing is known of it.
+        """Return the focal length in an image of this size, pixels; None if it is unknown.
 
         Raises:
-            InputError: The field of view is known, but not the size.
+            InputError: The field of view is known, but the image size is not.
         """
         if self.focal_px or not self.fov_deg:
             return self.focal_px
@@ -135,19 +135,19 @@ def join_detections(
     may_be_cut: bool = False,
     is_strict: bool = False,
 ) -> AnnotatedFrames:
-    """Return detections as annotations: the layout by names or the number of keypoints, people by the file's numbers.
+    """Return detections as annotations: the layout by names or number of keypoints, people by the file's numbers.
 
-    People are numbered by their order in the frame in a video where somebody has no number, or two have the same.
+    If anybody in a video has no number, or two people have the same, its people are numbered by their order.
 
     Args:
-        detections: In any order.
-        sequence_id: Name of the sequence; names of videos come after it.
-        layout: Layout asked for; of several with as many keypoints it is the one.  "auto" is as `arrange` says.
-        sizes_px: Image size by video, where it is known.
-        rate_hz: Frames per second, where the file says.
+        detections: Detections in any order.
+        sequence_id: Name of the sequence, to which names of videos are appended.
+        layout: Requested layout, or "auto"; see `arrange`.
+        sizes_px: Image size by video, where known.
+        rate_hz: Frames per second, if the file states it.
         skipped: Files that were skipped.
-        may_be_cut: As `arrange` has it.
-        is_strict: As `arrange` has it.
+        may_be_cut: See `arrange`.
+        is_strict: See `arrange`.
     """
     if not detections:
         raise NobodyError(f"sequence '{sequence_id}': nobody was detected in any frame")
@@ -191,17 +191,17 @@ def arrange(
     """Return keypoints in the order of their layout.
 
     Named keypoints are placed by their names; names that the layout lacks are left out, with a remark. The layout of
-    unnamed keypoints follows from their count; if several fit, it is the one by which they look like people.
+    unnamed keypoints follows from their number; if several match, it is the one in which they look like people.
 
     Args:
-        detections: In any order.
-        layout: Layout asked for, or "auto".
-        may_be_cut: Whether keypoints may be the first of MediaPipe's landmarks.
-        is_strict: Whether a name that is none of a joint is refused, where people annotate by hand.
+        detections: Detections in any order.
+        layout: Requested layout, or "auto".
+        may_be_cut: Whether keypoints may be only the first of MediaPipe's landmarks.
+        is_strict: Whether names that are not of joints are refused, for annotations by hand.
 
     Raises:
-        FormatError: No layout, or none that is known, has these names or this count; or several have it.
-        OtherLayoutError: The layout asked for has another count.
+        FormatError: No known layout has these names or this number of keypoints, or several have it.
+        OtherLayoutError: The requested layout has another number of keypoints.
     """
     named = {
         detection.names: detection
@@ -216,7 +216,7 @@ def arrange(
     all_names = max(named, key=lambda names: len(names or ())) or ()
     known = layout_of_names(all_names) if layout == "auto" else get_keypoint_layout(layout)
     num_named = known.num_named(all_names)
-    # A layout of the user's own has the order of the file, whatever the file calls its joints.
+    # A layout of the user is in the order of the file, whatever the names of joints there.
     is_by_order = num_named == 0 or (not isinstance(layout, str) and num_named < len(all_names))
     if layout != "auto" and is_by_order and len(all_names) == known.num_keypoints:
         return _of_numbers(detections, layout, may_be_cut=may_be_cut)
@@ -254,7 +254,7 @@ def arrange(
 
 
 def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *, may_be_cut: bool) -> Arranged:
-    """Return keypoints whose order is that of a layout."""
+    """Return keypoints that are in the order of a layout."""
     counts = {len(detection.table): detection.where for detection in reversed(detections)}
     if len(counts) > 1:
         (first, there), (second, here) = sorted(counts.items())[:2]
@@ -289,34 +289,34 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
     ]
     alike = [one for one in KEYPOINT_LAYOUTS.values() if one.num_keypoints == asked.num_keypoints and one not in known]
     remarks: tuple[str, ...] = ()
-    if layout == "auto" and alike:  # of the same places, so that nothing tells
+    if layout == "auto" and alike:  # their keypoints have the same places
         remarks = (f"keypoints without names taken as '{asked.name}', not {_either(alike, mark=True)} (layout)",)
     return Arranged(asked, table, np.array(statuses) if len(statuses) == len(detections) else None, remarks)
 
 
 def _is_seen(table: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-    """Return which keypoints (row, K) of x, y, confidence (row, K, 3) are detected: not those at the origin."""
+    """Return which keypoints (row, K) of a table (row, K, 3) are detected; those at the origin are not."""
     return (np.nan_to_num(table[..., 2]) > 0) & (table[..., :2] != 0).any(axis=-1)
 
 
 def _begins_with_face(table: npt.NDArray[np.float64]) -> bool:
-    """Tell whether the first points (row, K, 3) are MediaPipe's face: all near the nose, unlike the shoulders."""
+    """Return whether the first points (row, K, 3) are MediaPipe's face: all near the nose, unlike the shoulders."""
     points = np.where(_is_seen(table)[..., None], table[..., :2], np.nan)
     far = np.linalg.norm(points - points[:, :1], axis=-1)
-    ears = (0, 7, 8)  # turned away, these are half as far as a shoulder
+    ears = (0, 7, 8)  # nose and ears; on a head that is turned away, ears are half as far as a shoulder
     face, shoulders = np.delete(far[:, :_NUM_FACE], ears, axis=1), far[:, _NUM_FACE : _NUM_FACE + 2]
     is_told = np.isfinite(face).any(axis=1) & np.isfinite(shoulders).any(axis=1)
-    if not is_told.any():  # nobody's face, where others have shoulders and wrists
+    if not is_told.any():  # no face is seen, where other layouts have shoulders and wrists
         return bool(np.isfinite(shoulders).any())
     ratio = np.nanmax(face[is_told], axis=1) / np.maximum(np.nanmax(shoulders[is_told], axis=1), 1e-9)
     return bool(np.median(ratio) < _MAX_FACE)
 
 
 def _most_like_people(layouts: Sequence[KeypointLayout], table: npt.NDArray[np.float64]) -> KeypointLayout:
-    """Return the layout in whose order keypoints (row, K, 3) have clearly the shortest segments of a body.
+    """Return the layout in which keypoints (row, K, 3) have clearly the shortest body segments, else the usual one.
 
     Raises:
-        FormatError: There is none, and no usual one among them.
+        FormatError: No layout is clearly better, and none of them is usual.
     """
     if len(layouts) == 1:
         return layouts[0]
@@ -344,7 +344,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _are_numbers(names: Sequence[str]) -> bool:
-    """Tell whether names say no more than an order, as `0` or `point-3`, counted up."""
+    """Return whether names are only numbered in order, such as `0` or `point-3`."""
     numbers = [re.search(r"\d+$", name.strip()) for name in names]
     values = [int(number[0]) for number in numbers if number]
     fronts = {name.strip()[: number.start()] for name, number in zip(names, numbers, strict=True) if number}
@@ -354,11 +354,11 @@ def _are_numbers(names: Sequence[str]) -> bool:
 
 
 def names_in_order(names: Iterable[str], *, first: int | None = None) -> tuple[str, ...]:
-    """Return names of joints, each once; where they are numbers, as `3` or `point-3`, counted up without gaps.
+    """Return the different names of joints; numbered names, such as `3` or `point-3`, are sorted and completed.
 
     Args:
         names: Names in any order.
-        first: Number of the first joint; None for 0 where it is there, else 1.
+        first: Number of the first joint; None for 0 if that occurs, else 1.
     """
     different = tuple(dict.fromkeys(names))
     numbers = [re.fullmatch(r"(\D*)(\d{1,3})", name.strip()) for name in different]
@@ -388,9 +388,9 @@ def detections_of_joints(
 
 
 def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tuple[str, ...]]:
-    """Return a number for each detection, whether all numbers are the file's own, and remarks.
+    """Return a number for each detection, whether all numbers are from the file, and remarks.
 
-    People who have names are numbered in the order of these.
+    People with names are numbered in the order of their names.
     """
     names = sorted({detection.person_id for detection in detections if isinstance(detection.person_id, str)})
     if any(isinstance(detection.person_id, int) for detection in detections) and names:
@@ -413,7 +413,7 @@ def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tup
 
 
 def _sequence_names(sequence_id: str, videos: Collection[str]) -> dict[str, str]:
-    """Return the name of each video's sequence; of those that would have the same name all but the first are counted.
+    """Return the name of each video's sequence; equal names get a number.
 
     >>> _sequence_names("clip", ["a/b", "a_b", ""])
     {'': 'clip', 'a/b': 'clip.a_b', 'a_b': 'clip.a_b_2'}
@@ -427,7 +427,7 @@ def _sequence_names(sequence_id: str, videos: Collection[str]) -> dict[str, str]
 
 
 def known_footage(content: object) -> Footage:
-    """Return size and rate that a JSON object states under the usual keys, itself or in an object inside it."""
+    """Return size and rate under the usual keys of a JSON object or of an object directly inside it."""
     inside = [content, *content.values()] if isinstance(content, dict) else []
     parts = [part for part in inside if isinstance(part, dict)]
     size = next(filter(None, (image_size(part, keys) for part in parts for keys in _SIZE_KEYS)), None)
@@ -441,7 +441,7 @@ def known_footage(content: object) -> Footage:
 
 
 def image_size(image: Mapping[str, Any], keys: tuple[str, str] = ("width", "height")) -> tuple[int, int] | None:
-    """Return width and height of an image's JSON object, None where they are no whole numbers of pixels."""
+    """Return width and height in an image's JSON object; None unless both are whole numbers of pixels."""
     width, height = (image.get(key) for key in keys)
     if not isinstance(width, int | float) or not isinstance(height, int | float):
         return None

@@ -24,7 +24,7 @@ _ORDER = (
     *("head", "left_head", "right_head", "back"),
     *by_joint("left", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe"),
 )
-"""Joints in the order of the file, by the names of `expi18`: its first is the front of the head, heels are ankles."""
+"""Joints in the order of the file, by the names of `expi18`: `head` is the front of the head, heels are ankles."""
 _NUM_VALUES = _NUM_PERSONS * len(_ORDER) * 3
 _RATE_HZ = 25.0
 _METRES_PER_UNIT = 1e-3
@@ -51,7 +51,7 @@ def read_expi(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMot
 
 
 def _is_expi(start: FileStart) -> bool:
-    """Tell whether a line of names is followed by one of 108 numbers, separated by commas."""
+    """Return whether a line of names is followed by one of 108 numbers, separated by commas."""
     names, _, rest = start.text.partition("\n")
     return any(map(str.isalpha, names)) and len(floats_of(rest.partition("\n")[0].split(","))) == _NUM_VALUES
 

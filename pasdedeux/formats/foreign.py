@@ -32,7 +32,7 @@ _KINDS = {
     rb"NO_OF_FRAMES": f"a table of markers of Qualisys, {_NOT_READ}export joints as C3D or TRC, or the skeleton as BVH",
     rb"(?i:format version,)": f"a table of Motive, {_NOT_READ}export the skeleton as BVH",
 }
-"""What files begin with, as patterns, and what they are then."""
+"""Patterns of the beginning of files, and the kind of file with advice."""
 _STARTS = {re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:%s)" % start, re.DOTALL): what for start, what in _KINDS.items()}
 _MAX_NAMED = 3
 
@@ -41,7 +41,7 @@ def refuse_foreign(data: bytes) -> None:
     """Refuse a file of a known but unsupported kind; accept any other file.
 
     Raises:
-        FormatError: In one sentence: what the file seems to be, and what to do.
+        FormatError: One sentence: the kind of file, and what to do.
     """
     for start, what in _STARTS.items():
         if start.match(data):
@@ -52,7 +52,7 @@ def refuse_foreign(data: bytes) -> None:
 
 
 def _members(data: bytes) -> list[str]:
-    """Return the names of the files in a zip archive, none of a damaged one."""
+    """Return the names of the files in a zip archive; empty for a damaged one."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return [name for name in archive.namelist() if not name.endswith("/")]

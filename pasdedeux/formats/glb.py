@@ -1,7 +1,7 @@
 """Writing binary glTF: skinned bodies, animated, all in one scene.
 
-An own writer, because what is written is one buffer and a tree of plain JSON: pygltflib 1.16 would build the same tree
-of its classes in as many lines and pack the buffer no more than this does.  The tests read files back with it.
+A file is one buffer and a tree of plain JSON.  The package pygltflib 1.16 would need as many lines to build the tree,
+and it does not pack the buffer.  The tests read files back with it.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from pasdedeux.kinematics.rotations import conjugate, rotate
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _COLOURS = ((0.82, 0.33, 0.27), (0.25, 0.47, 0.75), (0.35, 0.62, 0.35), (0.75, 0.6, 0.25))
 _SWAP_M = 1e-4
-"""Bones that differ from their rest by more move their joint, beside turning it."""
+"""Joints whose offset changes by more are animated in translation, beside rotation."""
 
 
 @dataclass(frozen=True)
 class Skin:
-    """A surface in the rest pose of a motion, and the joints that its vertices move with.
+    """A surface in the rest pose of a motion, with the joints that move its vertices.
 
     Args:
         points_m: Vertices (n, 3), metres.
         normals: Unit normals at them (n, 3).
         faces: Vertices of each triangle (m, 3), counterclockwise from outside.
-        joints: Joints that each vertex moves with (n, 4).
-        weights: How much it moves with each (n, 4); rows sum to 1.
+        joints: Joints that move each vertex (n, 4).
+        weights: Weights of these joints (n, 4); rows sum to 1.
     """
 
     points_m: Array
@@ -51,7 +51,7 @@ class GlbPerson:
         name: Name of the figure.
         motion: The motion.
         skin: Its surface.
-        positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
+        positions_m: Positions of the joints (frame, J, 3), metres, if bones change their lengths; else None.
     """
 
     name: str
@@ -65,10 +65,10 @@ class GlbCamera:
     """A camera of a scene, which looks along its own -z, y up.
 
     Args:
-        name: What it is called.
-        position_m: Where it is (3,).
-        world_from_camera_unitquat: How it is turned (4,).
-        height_rad: Angle from the lower to the upper edge of its image.
+        name: Its name.
+        position_m: Its position (3,).
+        world_from_camera_unitquat: Its rotation (4,).
+        height_rad: Vertical field of view.
         aspect: Width over height of its image.
     """
 
@@ -104,13 +104,13 @@ class _Buffer:
 def write_glb(
     people: Sequence[GlbPerson], *, copyright_text: str, facts: dict[str, Any], cameras: Sequence[GlbCamera] = ()
 ) -> bytes:
-    """Return people who move in one world as binary glTF: metres, Y up, each a skin over its own joints.
+    """Return people in one scene as binary glTF: metres, Y up, a skin over joints for each person.
 
     Args:
-        people: The people, all with as many frames and one rate.
+        people: The people, with the same number of frames and the same rate.
         copyright_text: Licence and credit.
-        facts: What else must be known, for the `extras` of the asset.
-        cameras: The cameras that saw them, where there were any.
+        facts: Further facts for the `extras` of the asset.
+        cameras: The cameras that saw them.
     """
     buffer, nodes = _Buffer(), list[dict[str, Any]]()
     rate_hz = people[0].motion.rate_hz
@@ -187,7 +187,7 @@ def _camera(camera: GlbCamera) -> dict[str, Any]:
 
 
 def _translations(person: GlbPerson) -> Array:
-    """Return where each joint is in its parent's frame (frame, J, 3)."""
+    """Return the translation of each joint in its parent's frame (frame, J, 3)."""
     motion, skeleton = person.motion, person.motion.skeleton
     moved = np.tile(motion.rest_offsets_m, (motion.num_frames, 1, 1))
     moved[:, skeleton.root] = motion.root_translation_m
@@ -200,7 +200,7 @@ def _translations(person: GlbPerson) -> Array:
 
 
 def _primitive(buffer: _Buffer, skin: Skin, material: int) -> dict[str, Any]:
-    """Add a surface, and the joints that each vertex moves with."""
+    """Add a surface with its joints and weights, and return the primitive."""
     attributes = {
         "POSITION": buffer.add(skin.points_m.astype("<f4"), "VEC3", is_bounded=True),
         "NORMAL": buffer.add(skin.normals.astype("<f4"), "VEC3"),

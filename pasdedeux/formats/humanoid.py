@@ -15,7 +15,7 @@ from pasdedeux.skeletons.humanoid import END_SITES, HUMANOID
 
 UNITS_PER_METRE = {"cm": 100.0, "m": 1.0}
 _SPELT = {"cm": "centimetres", "m": "metres"}
-"""Units that BVH files may have; centimetres unless asked otherwise, as most programs take them."""
+"""Units of BVH files; centimetres by default, which most programs assume."""
 
 AXES = "right-handed, Y up, facing +Z at rest, the left side on +X"
 
@@ -26,9 +26,9 @@ class HumanoidMotion:
 
     Args:
         motion: On `body22`, from the standing T-pose, floor at y = 0, metres.
-        first_frame: Frame of the video that it begins with.
-        is_seen: Frames (frame,) in which enough of the person was seen; else the pose is interpolated or, before and
-            after the person was there, held.
+        first_frame: Its first frame in the video.
+        is_seen: Frames (frame,) in which enough of the person was seen; other poses are interpolated or, before and
+            after that, held.
     """
 
     motion: Motion
@@ -36,12 +36,12 @@ class HumanoidMotion:
     is_seen: Flags
 
     def bvh(self, units: str = "cm") -> str:
-        """Return it as BVH text, lengths in `cm` or `m`."""
+        """Return BVH text with lengths in `cm` or `m`."""
         return write_bvh(humanoid_motion(self.motion), units_per_metre=UNITS_PER_METRE[units], decimals=8)
 
 
 def humanoid_motion(motion: Motion) -> Motion:
-    """Return a motion of body22, whose rest pose is the T-pose, on `HUMANOID`: other names, and end sites."""
+    """Convert a motion of body22, whose rest pose is the T-pose, to `HUMANOID`: other names, and end sites."""
     carriers = motion.skeleton.indices(END_SITES)
     lengths_m = [np.linalg.norm(motion.rest_offsets_m[joint]) for joint in carriers]
     offsets_m = [np.array(offset) * length_m for offset, length_m in zip(END_SITES.values(), lengths_m, strict=True)]

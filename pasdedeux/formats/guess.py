@@ -1,4 +1,4 @@
-"""What a motion file does not state, estimated from its content: up axis, length unit, whether it is mirrored."""
+"""Estimates of what a motion file does not state: up axis, length unit, whether it is mirrored."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ UNITS_M = {
     "millimetre": 0.001,
     "CMU unit": 0.0254 / 0.45,
 }
-"""Length units that motion files come in: so far apart that only one of them can make an adult of a body."""
+"""Length units of motion files, so different that a body has the height of an adult in only one of them."""
 
 ADULT_HEIGHT_M = (1.35, 2.1)
-"""Statures within which a length unit is believed."""
+"""Statures within which an estimated length unit is plausible."""
 USUAL_HEIGHT_M = 1.7
 HUMAN_HEIGHT_M = (0.7, 2.6)
-"""Statures within which a unit that the file states is believed."""
+"""Statures within which a stated unit is accepted."""
 _GUESSED = 0.5
-"""Confidence of a unit of which something speaks against it."""
+"""Confidence of a unit that contradicts the stated one."""
 STATURE_OF_CHAIN = 1.13
 """Stature over the chain from the ankle to the ear: the foot is 5 % of it and the head above the ear 7 %."""
 
 _STANDS, _CLEARLY, _AT_REST = 0.7, 0.9, 0.5
-"""Mean cosine between body and axis from which the body stands along it, and clearly; confidence in a rest pose."""
+"""Mean cosine between body and axis from which the body stands, and stands clearly; confidence of a rest pose."""
 _WALKS, _FLAT = 0.5, 0.4
-"""Shares of the stature by which feet move of somebody who does not lie, and to which somebody who lies is thick."""
+"""Shares of the stature: minimum travel of the feet of a standing person, maximum thickness of a lying one."""
 _LEVEL = 0.05
-"""Share of the stature by which hands that stand may change their height."""
+"""Maximum change of height of hands that stand on the floor, a share of the stature."""
 _BENT, _HARDLY, _CLEAR = 0.03, 0.3, 0.5
-"""Share of a leg by which a bent knee leaves its line; share of that which tells nothing; cosine that is clear."""
+"""Deviation of a clearly bent knee, a share of the leg; share of that which is ignored; a clear cosine."""
 _HIPS, _KNEES, _ANKLES, _TOES, _SHOULDERS, _WRISTS = (
     BODY22.indices(by_side("left", joint)) for joint in ("hip", "knee", "ankle", "toe", "shoulder", "wrist")
 )
@@ -52,7 +52,7 @@ _TOE_NAMES = by_side("left", "toe")
 
 @dataclass(frozen=True)
 class AxisGuess:
-    """The up axis and its confidence, from 0 (a guess) to 1, by how clearly bodies stand along it."""
+    """The up axis and its confidence from 0 (a guess) to 1, by how clearly bodies stand along it."""
 
     axis: str
     confidence: float
@@ -65,8 +65,8 @@ class UnitGuess:
     Args:
         metres_per_unit: The length.
         confidence: From 0 (a guess) to 1 (the file says so).
-        reason: Why, in words.
-        height_m: About the stature that follows from it.
+        reason: The reason, in words.
+        height_m: Approximate stature in this unit.
     """
 
     metres_per_unit: float
@@ -77,7 +77,7 @@ class UnitGuess:
 
 @dataclass(frozen=True)
 class MirrorGuess:
-    """Whether a file exchanges left and right, and how clearly: from 0 (a guess) to 1."""
+    """Whether a file exchanges left and right, and the confidence from 0 (a guess) to 1."""
 
     is_mirrored: bool
     confidence: float
@@ -86,13 +86,13 @@ class MirrorGuess:
 def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGuess:
     """Return the axis along which the body stands, feet below head; the confidence is the mean cosine between both.
 
-    A body that does not stand clearly has the axis of its rest pose, where that stands, else y, with little confidence:
-    most files are y-up.  Hands beyond the head that keep one height, while feet do not, may stand on the floor: that
-    leaves half of the confidence.  Who does not walk may lie, where the rest pose stands along another axis.
+    If the body does not stand clearly, the axis is that of a standing rest pose, else y with low confidence, because
+    most files are y-up.  If hands stay at one height above the head while feet do not, the person may stand on the
+    hands, and the confidence is halved.  A person who does not walk may lie if the rest pose stands along another axis.
 
     Args:
         source: The motion.
-        layout: What its joints are, where that is known; else it is found.
+        layout: Layout of its joints; detected by default.
     """
     positions, body = _sample(source, layout)
     if body is None:
@@ -119,7 +119,7 @@ def guess_up_axis(source: SourceMotion, layout: Layout | None = None) -> AxisGue
 
 
 def _axis_at_rest(source: SourceMotion, layout: Layout | None) -> AxisGuess:
-    """Return the axis along which the rest pose stands, and how clearly: not at all where legs and trunk go one way."""
+    """Return the axis along which the rest pose stands; confidence 0 if trunk and legs have different directions."""
     _, body = _sample(source.rest, layout)
     assert body is not None
     feet, hips, neck = body[0, _ANKLES].mean(axis=0), body[0, _HIPS].mean(axis=0), body[0, BODY22.index("neck")]
@@ -133,7 +133,7 @@ def _axis_of(direction: Array) -> AxisGuess:
 
 
 def _axis_of_leaves(source: SourceMotion, positions: Array) -> AxisGuess:
-    """Return the axis of the two ends farthest from the root, which sits between legs and trunk: head and feet."""
+    """Return the axis of the ends farthest from the root, which lies between head and feet."""
     ends = [joint for joint in range(source.skeleton.num_joints) if not source.skeleton.children(joint)]
     spread = positions[:, ends] - positions[:, source.skeleton.root][:, None]
     extent = np.abs(spread).max(axis=1).mean(axis=0)
@@ -146,11 +146,11 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
     """Return whether left and right are exchanged: whether toes point, and knees bend, to the back of the body.
 
     The front is to the right of the line from the right hip and shoulder to the left ones, seen from above.  Toes that
-    are derived from that line tell nothing.
+    are derived from that line are ignored.
 
     Args:
         source: The motion.
-        layout: What its joints are, where that is known; else it is found.
+        layout: Layout of its joints; detected by default.
     """
     layout = layout or _layout_of(source)
     _, body = _sample(source, layout)
@@ -173,10 +173,10 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
 
 
 def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
-    """Return the common up axis of people captured together: that with the highest confidence; y if equal.
+    """Return the common up axis of people captured together: the one with the highest confidence, y if about equal.
 
-    One of two may lie on the floor all the time, as wrestlers do; alone that body would be taken to stand along it.
-    A confidence that differs by less than a tenth decides nothing: most files are y-up.
+    One of two people may lie on the floor all the time, as in wrestling; alone, that body would seem to stand along the
+    floor.  Confidences that differ by less than 0.1 are equal, because most files are y-up.
     """
     ranked = sorted(guesses, key=lambda guess: -guess.confidence)
     clear = [guess for guess in ranked if guess.confidence > ranked[0].confidence - 0.1]
@@ -186,11 +186,11 @@ def common_up_axis(guesses: Sequence[AxisGuess]) -> AxisGuess:
 def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
     """Return the unit that the file states, else the known unit that gives the body an adult height.
 
-    A stated unit that makes a giant or a doll of the body gives way to a known one that makes an adult: a guess.
+    A stated unit in which the body is no human is replaced, if a known unit gives an adult height, as a guess.
 
     Args:
         source: The motion.
-        layout: What its joints are, where that is known; else it is found.
+        layout: Layout of its joints; detected by default.
     """
     height = _body_height(source, layout)
     if source.metres_per_unit is not None:
@@ -212,19 +212,19 @@ def guess_unit(source: SourceMotion, layout: Layout | None = None) -> UnitGuess:
 
 
 def draft_motion(source: SourceMotion) -> Draft:
-    """Guess the joints of a motion from names, tree and movement; see `draft_mapping`."""
+    """Draft a layout of a motion from names, tree and movement; see `draft_mapping`."""
     return draft_mapping(source.skeleton, source.rest_offsets, source.sample[0])
 
 
 def _layout_of(source: SourceMotion) -> Layout | None:
-    """Return the known layout of a motion, else the one that is drafted; None where that lacks parts."""
+    """Return the known layout of a motion, else a drafted one; None if that lacks parts."""
     known = find_layout(source.skeleton, source.rest_offsets)
     draft = None if known else draft_motion(source)
     return draft.layout("draft") if draft and draft.is_whole else known
 
 
 def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array | None]:
-    """Return positions of the joints and of body22 (frame, joint, 3) in some frames; no body22 of what is no body."""
+    """Return positions of the joints and of body22 (frame, joint, 3) in some frames; None for body22 if no body."""
     positions, world = source.sample
     layout = layout or _layout_of(source)
     if layout is None:
@@ -233,7 +233,7 @@ def _sample(source: SourceMotion, layout: Layout | None) -> tuple[Array, Array |
 
 
 def _body_height(source: SourceMotion, layout: Layout | None) -> float:
-    """Return the stature in file units by the chain ankle, hip, neck, ear as it moves; else the extent of the body."""
+    """Return the stature in file units from the chain ankle, hip, neck, ear; without a layout the extent of joints."""
     positions, body = _sample(source, layout)
     if body is None:
         return float(np.median(np.ptp(positions, axis=1).max(axis=-1)))

@@ -1,7 +1,7 @@
-"""Videos and frames by the names of images and of files of frames: the counter is the number that varies.
+"""Video and frame of images and files of frames from their names: the frame is the number that varies.
 
-Digits of a name are split from its text.  Names of one template, which is their text, are compared number by number:
-those that stay the same belong to the template, that which varies counts frames, and others tell cameras.
+A name is split into text and numbers.  Names with the same text, the template, are compared number by number: constant
+numbers belong to the template, one varying number is the frame, and others identify cameras.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.text import MAX_COUNT
 
 Place = tuple[str, int]
-"""Name of a video or camera, empty where there is one only, and frame."""
+"""Name of a video or camera, empty if there is only one, and frame."""
 
 STILLS_STEP = 1000
-"""Distance of the numbers that single photographs get: so far apart, nobody takes them for frames of a video."""
+"""Distance of the frame numbers of single photographs, too large for frames of a video."""
 _MAX_MEDIAN_GAP = 20
-"""Photographs are numbered more sparsely than this, and not evenly."""
+"""Numbers of photographs have a larger median gap, and are not evenly spaced."""
 _MIN_FRAMES = 5
-"""Of so many numbered names in one template, a name without a number is no photograph beside others."""
+"""From this number of numbered names in one template on, a name without a number is an error, not a photograph."""
 _NUMBER = re.compile(r"\d{1,3}(?:[,']\d{3})+(?!\d)|\d+")
 _GROUPED = re.compile(r"\d{1,3}(?:[,'_. ]\d{3})+(?!\d)|\d+")
-"""Numbers with thousands apart: with points, blanks and underscores only where names have one template for it."""
+"""Numbers with separators of thousands; points, blanks and underscores only if all names then have one template."""
 _SUFFIX = re.compile(r"\.(?=[0-9]*[A-Za-z])[A-Za-z0-9]{1,5}$")
 _RANDOM = re.compile(r"\.rf\.[0-9A-Za-z]+|[0-9a-f]{8}-(?:[0-9a-f]{4}-){3}[0-9a-f]{12}", re.IGNORECASE)
 """Digests of Roboflow's files, and universally unique identifiers."""
@@ -35,13 +35,13 @@ _CAMERA = re.compile(r"(?:cam|camera|view|kinect)[\W_]*$", re.IGNORECASE)
 _FRAME = re.compile(r"(?<![A-Za-z])(?:frames?|frm|fr|f)[\W_]*$", re.IGNORECASE)
 _PHOTOGRAPH = re.compile(r"(?:_?dsc[nf]?|img|pxl|p|photo|pic|picture|dcim)[\W_]*$", re.IGNORECASE)
 _COLLECTED_DIGITS = 12
-"""How cameras name photographs, and how COCO numbers them."""
+"""Names of photographs by cameras, and the number of digits in names of COCO's images."""
 _DATE = re.compile(r"(?:19|20)\d\d(?:0[1-9]|1[0-2])(?:[0-2]\d|3[01])")
 
 
 @dataclass(frozen=True)
 class _Name:
-    """A name, the folder that tells its video, its texts and the numbers between them."""
+    """A name, the folder that identifies its video, its texts, and the numbers between them."""
 
     name: str
     folder: str
@@ -56,7 +56,7 @@ class _Name:
         return int(re.sub(r"\D", "", self.numbers[slot]))
 
     def video(self, counter: int) -> tuple[str, str, str]:
-        """Return the folder, and the parts of the name before and after the counter."""
+        """Return the folder, and the parts of the name before and after the frame number."""
         words = [word for pair in zip(self.texts, (*self.numbers, ""), strict=True) for word in pair]
         return self.folder, "".join(words[: 2 * counter + 1]), "".join(words[2 * counter + 2 :])
 
@@ -79,12 +79,12 @@ def number_in_name(name: str) -> tuple[str, int | None]:
 def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     """Return video and frame of each image by its name: `cam1_0012.jpg` and `cam1/0012.jpg` are frame 12 of cam1.
 
-    Folders that all names share say nothing.  A single video has no name.  Names without numbers, with dates, with
-    numbers that are few and far between, or of videos that would mostly have one frame, are single photographs:
-    frames of one sequence, in the order of their names, `STILLS_STEP` apart.
+    Folders that all names share are ignored.  A single video has no name.  Images are single photographs if their names
+    have no numbers, have dates or sparse numbers, or if most videos would have one frame.  They become frames of one
+    sequence, in the order of their names, `STILLS_STEP` apart.
 
     Raises:
-        FormatError: Two names are of one frame, or several numbers may be the frame's.
+        FormatError: Two names have the same frame, or several numbers may be the frame.
     """
     parts = {name: name.replace("\\", "/").split("/")[:-1] for name in dict.fromkeys(names)}
     shared = len(list(takewhile(lambda level: len(set(level)) == 1, zip(*parts.values(), strict=False))))
@@ -118,7 +118,7 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
 
 
 def _placed(videos: Mapping[str, tuple[str, str, str]], frames: Mapping[str, int]) -> dict[str, Place]:
-    """Return the places, of which no two are the same; what follows all counters alike is no part of a name."""
+    """Return different places; text after the frame number is part of the video's name only if it differs."""
     is_alone, has_ends = len(set(videos.values())) == 1, len({after for *_, after in videos.values()}) > 1
     taken: dict[Place, str] = {}
     for name, (folder, before, after) in videos.items():
@@ -132,7 +132,7 @@ def _placed(videos: Mapping[str, tuple[str, str, str]], frames: Mapping[str, int
 
 
 def _parse(folders: Mapping[str, str], number: re.Pattern[str]) -> list[_Name]:
-    """Return the names split into texts and numbers, without suffixes and random words."""
+    """Split names into texts and numbers, without suffixes and random words."""
     stems = {}
     for name in folders:
         base = name.replace("\\", "/").rpartition("/")[2]
@@ -155,7 +155,7 @@ def _parse(folders: Mapping[str, str], number: re.Pattern[str]) -> list[_Name]:
 
 
 def _is_random(words: Sequence[str]) -> bool:
-    """Tell whether words at one place of all names are digests: hexadecimal, of one length and no template."""
+    """Return whether words at one position of all names are digests: hexadecimal, of one length, without a template."""
     if not all(_HEX.fullmatch(word) for word in words) or len({len(word) for word in words}) > 1:
         return False
     mixed = [len(re.findall(r"\d+|\D+", word)) for word in words]
@@ -167,7 +167,7 @@ def _is_random(words: Sequence[str]) -> bool:
 
 
 def _only_slot(name: _Name) -> int:
-    """Return the number that counts in a name alone: that of a frame, else the last one that is no `@2x`."""
+    """Return which number of a single name is the frame: one after a word for frame, else the last except `@2x`."""
     slots = range(len(name.numbers))
     framed = [slot for slot in slots if _FRAME.search(name.texts[slot])]
     usual = [slot for slot in slots if not name.texts[slot].endswith("@")]
@@ -175,10 +175,10 @@ def _only_slot(name: _Name) -> int:
 
 
 def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
-    """Return which number of names of one template counts frames, and which others tell cameras.
+    """Return which number of names of one template is the frame, and which others identify cameras.
 
     Raises:
-        FormatError: Several may be it.
+        FormatError: Several may be the frame.
     """
     texts, slots = alike[0].texts, range(len(alike[0].numbers))
     values = [[name.value(slot) for name in alike] for slot in slots]
@@ -191,7 +191,7 @@ def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
     counters = [slot for slot in left if _FRAME.search(texts[slot])] or left
 
     def follows(slot: int, counter: int) -> bool:
-        """Tell whether a number grows with a counter that is another in each name, as time does."""
+        """Return whether a number grows with a counter that differs in all names, as times do."""
         if slot not in others or len(set(values[counter])) < len(alike):
             return False
         return all(a[1] <= b[1] for a, b in pairwise(sorted(zip(values[counter], values[slot], strict=True))))
@@ -219,7 +219,7 @@ def _counter(alike: Sequence[_Name]) -> tuple[int, list[int]]:
 
 
 def _are_decimals(alike: Sequence[_Name], slot: int) -> bool:
-    """Tell whether numbers are digits after a point: of one length, nearly exhausted, in steps larger than 1."""
+    """Return whether numbers are decimals: of equal length, up to nearly the largest, in steps larger than 1."""
     values, digits = sorted({name.value(slot) for name in alike}), {len(name.numbers[slot]) for name in alike}
     steps = [later - earlier for earlier, later in pairwise(values)]
     return len(digits) == 1 and min(steps, default=0) > 1 and values[-1] + 2 * max(steps) >= 10 ** max(digits)
@@ -234,7 +234,7 @@ def _shown(alike: Sequence[_Name]) -> str:
 
 
 def _are_photographs(alike: Sequence[_Name]) -> bool:
-    """Tell whether names of one template have several days as numbers."""
+    """Return whether a number of names of one template is always a date, not always the same."""
     slots = range(len(alike[0].numbers))
     return any(
         all(_DATE.fullmatch(name.numbers[slot]) for name in alike) and len({name.numbers[slot] for name in alike}) > 1
@@ -243,7 +243,7 @@ def _are_photographs(alike: Sequence[_Name]) -> bool:
 
 
 def _is_sparse(parsed: Sequence[_Name], frames: Sequence[int]) -> bool:
-    """Tell whether names are of photographs, as cameras or COCO give them, numbered far apart and unevenly."""
+    """Return whether names are those of cameras or COCO, with sparse and unevenly spaced numbers."""
     are_given = all(
         _PHOTOGRAPH.match(name.texts[0]) or (not any(name.texts) and len(name.numbers[0]) == _COLLECTED_DIGITS)
         for name in parsed

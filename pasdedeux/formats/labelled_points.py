@@ -1,4 +1,4 @@
-"""Joints of people as labelled points, as C3D and TRC files hold them: who they are of, and each person's motion."""
+"""Joints of people as labelled points, as in C3D and TRC files, and the motion of each person."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "inches": 0.0254, "f
 _METRES |= {"meters": 1.0, "metres": 1.0, "meter": 1.0, "metre": 1.0}
 _SEPARATORS = ":_.-|/ "
 _MIN_JOINTS = 0.5
-"""Share of the joints of body22 from which points of one prefix are a person, not an object."""
+"""Minimum share of the joints of body22 for points with one prefix to be a person, not an object."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,12 @@ class LabelledPoints:
     """The points of a file.
 
     Args:
-        kind: What the file is, for messages.
+        kind: Kind of file, for messages.
         labels: Their names: joints of body22, after a prefix for each person where there are several, `A:pelvis`.
-        positions: Places (frame, point, 3) in the file's unit, NaN where there is a gap.
+        positions: Positions (frame, point, 3) in the file's unit, NaN in gaps.
         rate_hz: Frames per second.
         unit: The unit that the file states, lower case.
-        notes: What the reader assumed, a sentence each.
+        notes: Assumptions of the reader, a sentence each.
     """
 
     kind: str
@@ -45,7 +45,7 @@ class LabelledPoints:
 
     @cached_property
     def people(self) -> list[tuple[str, dict[str, int]]]:
-        """The people in the order of the file: their prefix, and where the joints of each are; some may be missing."""
+        """People in the order of the file: prefix, and index of the point of each joint; some joints may be missing."""
         joints: dict[str, dict[str, int]] = {}
         for at, label in enumerate(self.labels):
             for joint in BODY22.joint_names:
@@ -57,7 +57,7 @@ class LabelledPoints:
 
     @property
     def num_people(self) -> int:
-        """How many people there are, at least 1."""
+        """Number of people, at least 1."""
         return max(len(self.people), 1)
 
     def source(self, person: int = 0) -> SourceMotion:

@@ -1,6 +1,6 @@
-"""Npz archives: written from motions, and read where they may be damaged or hostile.
+"""Npz archives: written from motions, and read safely.
 
-No pickles are read, and no more memory is taken than the file justifies.
+Archives may be damaged or hostile: pickles are not read, and memory is limited by the size of the file.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from pasdedeux.kinematics import Motion
 MAX_UNPACKED_BYTES = 1 << 30
 MAX_ARRAYS = 100
 MAX_RATIO = 100
-"""Of unpacked bytes to the archive's, beyond `_SMALL_BYTES`: poses hardly shrink to a tenth, zeros to a thousandth."""
+"""Maximum ratio of unpacked to packed bytes, beyond `_SMALL_BYTES`: poses shrink to a tenth at most."""
 _SMALL_BYTES = 16 << 20
 _KINDS = {"f": "floats", "fiu": "numbers", "iu": "whole numbers", "U": "texts"}
 
 
 def is_npz(data: bytes) -> bool:
-    """Tell whether data starts like a zip archive."""
+    """Return whether data starts like a zip archive."""
     return data[:4] == b"PK\x03\x04"
 
 
 def array_names(data: bytes) -> frozenset[str]:
-    """Return the names of the arrays of an npz archive; nothing is unpacked.  A damaged archive is a FormatError."""
+    """Return the array names of an npz archive without unpacking; a damaged archive raises a FormatError."""
     with _opened(data, "npz archive") as archive:
         return frozenset(member.filename.removesuffix(".npy") for member in archive.infolist())
 
@@ -42,10 +42,10 @@ def array_names(data: bytes) -> frozenset[str]:
 def read_npz(
     data: bytes, what: str, is_wanted: Callable[[str], bool] = lambda name: True
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return the wanted arrays of an npz archive by name; no others are opened.
+    """Return the wanted arrays of an npz archive by name; others are not opened.
 
     Raises:
-        FormatError: The archive is damaged, holds Python objects, or states more data than it has or may have.
+        FormatError: The archive is damaged, has Python objects, or states more data than it has or may have.
     """
     with _opened(data, what) as archive:
         named = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
@@ -59,13 +59,13 @@ def read_npz(
 def get_array(
     arrays: Mapping[str, npt.NDArray[Any]], name: str, kinds: str, shape: tuple[int | None, ...]
 ) -> npt.NDArray[Any]:
-    """Return an array of an archive.
+    """Return an array of an archive after checking type and shape.
 
     Args:
-        arrays: The archive.
-        name: Its name.
-        kinds: Letters of its numpy types, a key of `_KINDS`.
-        shape: Its shape; None is any length.
+        arrays: The arrays of the archive by name.
+        name: Name of the array.
+        kinds: Allowed numpy kinds, a key of `_KINDS`.
+        shape: Required shape; None is any length.
     """
     array = arrays.get(name)
     sizes = () if array is None else array.shape
@@ -98,7 +98,7 @@ def _opened(data: bytes, what: str) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_array(content: bytes, name: str) -> npt.NDArray[Any]:
-    """Return the array of one npy file, after a check of its header against its size."""
+    """Return the array of one npy file after checking its header against its size."""
     stream = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(stream)

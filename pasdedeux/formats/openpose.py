@@ -1,4 +1,4 @@
-"""Reading OpenPose keypoints, and what others write in the same form: one JSON file per frame."""
+"""Reading OpenPose keypoints, also written by other tools: one JSON file per frame."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ OPENPOSE = AnnotationFormat(
     recognises=lambda start: start.has_key("people") and not start.is_by_frame,
     read_people=read_people,
 )
-"""OpenPose's files; Pose2Sim, RTMPose's and other tools write the same, with layouts known by their size."""
+"""Files of OpenPose, Pose2Sim, RTMPose and other tools; the layout follows from the number of keypoints."""
 
 
 def openpose_frame_number(file_name: str) -> int | None:
@@ -58,7 +58,7 @@ def openpose_frame_number(file_name: str) -> int | None:
 
 
 def _person_id(person: dict[str, Any], index: int) -> int | None:
-    """Return the file's number of a person; -1, which OpenPose writes, and the place in the list are none."""
+    """Return the number of a person; -1, which OpenPose writes, and the position in the list do not count."""
     value = person.get("person_id")
     value = value[0] if isinstance(value, list) and value else value
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1_000_000 and value != index:

@@ -1,4 +1,4 @@
-"""The joints of any motion file as they are, of a body or not: what can be drawn of a file that fits no layout."""
+"""The joints of any motion file, also if they fit no layout, for drawing."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class OwnJoints:
     Args:
         skeleton: Joints and parents of the file.
         positions: Positions (frame, J, 3), file units and axes; bones may change their length.
-        rate_hz: Frame rate that the file states, None where it states none.
-        metres_per_unit: Length of its unit, None where it states none.
+        rate_hz: Frame rate that the file states; None if it states none.
+        metres_per_unit: Length of its unit; None if it states none.
     """
 
     skeleton: Skeleton
@@ -34,17 +34,17 @@ class OwnJoints:
 
     @property
     def source(self) -> SourceMotion:
-        """The joints as a motion without twist, bones at their median lengths: by which unit and axis are guessed."""
+        """The joints as a motion without twist, bones at median lengths, from which unit and axis are estimated."""
         return source_from_positions(
             self.skeleton, self.positions, rate_hz=self.rate_hz, metres_per_unit=self.metres_per_unit
         )
 
 
 def read_own_joints(kind: MotionFormat, data: bytes, companion: bytes = b"") -> list[OwnJoints]:
-    """Return each hierarchy of a motion file; one that holds several people as one tree is one hierarchy.
+    """Return each hierarchy of a motion file; several people in one tree are one hierarchy.
 
     Raises:
-        FormatError: The file is mangled.
+        FormatError: The file is damaged.
     """
     if kind is BVH:
         rate_hz, trees = read_bvh_joints(data)
@@ -61,7 +61,7 @@ def read_own_joints(kind: MotionFormat, data: bytes, companion: bytes = b"") -> 
 
 
 def is_body(kind: MotionFormat, data: bytes, companion: bytes = b"") -> bool:
-    """Return whether everybody of a file is a body on a known layout, whose bones keep their lengths."""
+    """Return whether all people of a file have a known layout and bones of constant length."""
     try:
         people: Sequence[SourceMotion] = kind.read_people(data, companion)
     except FormatError:

@@ -1,6 +1,6 @@
-"""A keypoint layout of one's own: a few lines of TOML.
+"""A keypoint layout of the user: a few lines of TOML.
 
-`keypoints` are the names of the joints in the order of the file, `joints` says which of them ours are::
+`keypoints` are the names of the joints in the order of the file; `joints` maps joints of pair17 to them::
 
     keypoints = ["head", "neck", "torso", "left hand", "right hand"]
 
@@ -9,7 +9,7 @@
     left_wrist = "left hand"
     chest = { neck = 0.5, torso = 0.5 }
 
-Joints of pair17 that it does not name are missing.
+Joints of pair17 that are not named are missing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def read_layout(data: bytes | str) -> KeypointLayout:
     """Read a layout.
 
     Raises:
-        FormatError: It is no TOML, lacks one of both tables, or names what is not there; weights must sum to 1.
+        FormatError: It is not TOML, lacks a key, has an unknown name, or its weights do not sum to 1.
     """
     try:
         content = tomllib.loads(decode(data, "layout"))

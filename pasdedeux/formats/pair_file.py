@@ -1,6 +1,6 @@
 """One 3D pair as a file that a person can edit: JSON with named joints, or BVH with one frame per person.
 
-JSON keeps every digit: what `read_pair_json` gives is what `write_pair_json` was given.  BVH keeps positions to 1e-6 m.
+JSON keeps all digits: `read_pair_json` returns exactly what was written.  BVH keeps positions to 1e-6 m.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from pasdedeux.skeletons.layouts import find_layout
 
 _PERSONS = ("A", "B")
 _POSE_RATE_HZ = 30.0
-"""A pose has no rate; BVH wants one."""
+"""Rate in the BVH file of a single pose."""
 
 _NUMBER = r"\s*(-?[\d.]+(?:e[-+]?\d+)?)\s*"
 _TRIPLE = re.compile(rf"\[{_NUMBER},{_NUMBER},{_NUMBER}\]")
-"""Three numbers, which are written on one line."""
+"""Three numbers, to be written on one line."""
 
 BONE_M = (1e-3, 2.0)
-"""Bones outside these lengths are no person's: mostly another unit, metres."""
+"""Allowed lengths of bones, metres; others are mostly in another unit."""
 
 
 @dataclass(frozen=True)
 class PairSource:
-    """Licence and credit of something that a pair was made from."""
+    """Licence and credit of a source of a pair."""
 
     name: str
     licence: str
@@ -46,13 +46,13 @@ class PairSource:
 
 @dataclass(frozen=True)
 class PairFile:
-    """A pair and where it is from.
+    """A pair and its origin.
 
     Args:
         pair_m: Positions (person=2, joint=17, 3), metres, Y up.
-        made_from: What it was made from, such as a reference to a draw; empty when unknown.
-        takes: Takes that it shows or was learned from: it may not be used to judge them.
-        sources: Licences and credits it inherits.
+        made_from: Its origin, such as a reference to a draw; empty if unknown.
+        takes: Takes that it shows or was learned from, which must not be evaluated with it.
+        sources: Inherited licences and credits.
     """
 
     pair_m: Array
@@ -71,7 +71,7 @@ class _Persons(Settings):
 
 
 class _Tree(Settings):
-    """What the JSON of a pair holds."""
+    """Content of the JSON of a pair."""
 
     format: Literal["pasdedeux pair"]
     version: Literal[1]
@@ -104,9 +104,9 @@ def write_pair_json(pair: PairFile) -> str:
 
 
 def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
-    """Read what `write_pair_json` wrote, edited or not.
+    """Read a file of `write_pair_json`, edited or not.
 
-    `made_from`, `takes` and `sources` are optional; so are joints where `is_partial`: NaN when missing or null.
+    `made_from`, `takes` and `sources` are optional; with `is_partial` also joints, NaN if missing or null.
     """
     try:
         tree = _Tree.model_validate(parse_json(data, "pair"))
@@ -132,7 +132,7 @@ def pair_from_bvh(
 ) -> PairFile:
     """Read one frame of the BVH files of person A and person B as a pair.
 
-    Joints are those of `pair17` where the file has them all, as one that was written here; else a known layout.
+    If the file has all joints of `pair17`, as files written here, they are taken; else it needs a known layout.
     """
     pair = np.array(
         [_posed(name, data, frame, metres_per_unit) for name, data in zip(_PERSONS, (first, second), strict=True)]
@@ -159,5 +159,5 @@ def _posed(name: str, data: bytes | str, frame: int, metres_per_unit: float) -> 
 def _check_bones(pair: Array) -> None:
     for name, lengths in zip(_PERSONS, bone_lengths(PAIR17, pair), strict=True):
         for joint, length_m in zip(PAIR17.joint_names[1:], lengths[1:].tolist(), strict=True):
-            if not np.isnan(length_m):  # of a joint that is not there
+            if not np.isnan(length_m):  # NaN if a joint is missing
                 check_range(length_m, f"person {name}: the length of the bone to '{joint}' in metres", *BONE_M)

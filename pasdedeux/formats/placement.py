@@ -1,4 +1,4 @@
-"""Where the people of a take stand in the world: shifts, turns, and the floor at y = 0."""
+"""Position of the people of a take in the world: shifts, turns, and the floor at y = 0."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotve
 from pasdedeux.skeletons import BODY22
 
 FOOT_PERCENTILE = 5.0
-"""Feet are on the floor in at least this share of the frames; the frames below it may be noise."""
+"""Percentile of the lowest foot height at which feet stand on the floor; lower frames may be noise."""
 STANDING_HEIGHTS_M = (-0.02, 0.06)
-"""Height of the lowest joint of a foot that stands: toe joints lie 2-5 cm above the sole."""
+"""Allowed height of the lowest foot joint: toe joints are 2-5 cm above the sole."""
 
 _FEET = BODY22.indices(["left_toe", "right_toe", "left_ankle", "right_ankle"])
 
@@ -40,8 +40,8 @@ def place_points(points_m: Array, *, translation_m: Sequence[float], yaw_rad: fl
 def floor_shift(body22_m: Array) -> float:
     """Return the height to add to a take so that its floor is at y = 0.
 
-    The lowest foot joint of all people in each frame counts; its 5th percentile is where feet stand.  A take
-    whose feet already stand within -2 to 6 cm of y = 0 keeps its world (0 is given); any other comes to stand at 0.
+    Feet stand at the 5th percentile, over the frames, of the lowest foot joint of all people.  If that is already
+    within -2 to 6 cm, the result is 0.
 
     Args:
         body22_m: Positions of all people of the take together, (frame, person, 22, 3).

@@ -1,7 +1,7 @@
-"""The skeleton that a source came with, for other bodies: which of its points are body22, and motions of it.
+"""The skeleton of a source file: its mapping to body22, and variants of its motion for other bodies.
 
-body22 is derived from a source's joints by fixed weights, so it tells how the source has to be scaled and posed for a
-variant: the source's offsets are scaled, its rotations are kept and turned by no more than the variant asks for.
+body22 is derived from a source's joints by fixed weights, so a variant of body22 determines how the source is scaled
+and posed: its offsets are scaled, and its rotations change as little as the variant needs.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ from pasdedeux.skeletons.layouts import Layout
 from pasdedeux.skeletons.mapping import weighted_points
 
 _HOLD_M = 1e-3
-"""Where the points of a joint leave a turn open it is held, as if by points this far from it."""
+"""If the points of a joint do not fix its rotation, it is held as by points at this distance."""
 _HOLD_SCALE = 1e-3
-"""Weight, beside 1 for body22, with which bones that body22 says nothing of are scaled as the bone before them."""
+"""Weight, relative to body22, with which bones outside body22 are scaled like the bone before them."""
 _HOLD_INNER = 0.1
-"""Weight of the joints of body22 that lie between joints of the source, beside 1 of those that are joints of it."""
+"""Weight of joints of body22 between joints of the source, relative to those that are joints of the source."""
 _END_SHARE = 0.25
-"""Length of an End Site that a source lacks, in lengths of the bone before it; programs want bones to have a length."""
+"""Length of an added End Site, relative to the bone before it; programs need bones to have a length."""
 _SHORTEST_M = 1e-3
-"""A joint shorter than this has no length to programs that draw it."""
+"""Shorter joints have no length in programs that draw them."""
 _HINGES = {limb[1]: limb[2] for limb in BODY22.limbs}
-"""Elbows and knees, each with the wrist or ankle that it brings to its place."""
+"""Elbows and knees, each with the wrist or ankle that it moves to its place."""
 _HIPS = BODY22.indices(["left_hip", "right_hip"])
 _HIP_WEIGHT = 30.0
-"""Weight of the hips, beside 1 for pelvis and spine, in where the root goes: nearly straight legs cannot give way to
-hips that are off, while arms mostly are bent."""
+"""Weight of the hips, relative to pelvis and spine, in the fit of the root: nearly straight legs cannot compensate hips
+that are off, while arms are mostly bent."""
 _TRUNK = BODY22.indices(["pelvis", "left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck"])
 
 
@@ -62,14 +62,14 @@ class BodyMap:
 
     Args:
         weight: Weights (22, J); those of a joint sum to 1.
-        offset_m: Places in the frames of the joints (22, J, 3), metres; zero but for points between joints.
+        offset_m: Offsets in the frames of the joints (22, J, 3), metres; zero except for points beside joints.
     """
 
     weight: Array
     offset_m: Array
 
     def positions(self, positions_m: Array, world_unitquat: Array) -> Array:
-        """Return body22 (*batch, 22, 3) of positions (*batch, J, 3) and world rotations (*batch, J, 4), metres."""
+        """Return body22 (*batch, 22, 3) from positions (*batch, J, 3) and world rotations (*batch, J, 4), metres."""
         weighted = weighted_points(self.weight, positions_m)
         for joint, carrier in zip(*np.nonzero(self.offset_m.any(axis=-1)), strict=True):
             offset = np.broadcast_to(self.offset_m[joint, carrier], weighted[..., joint, :].shape)
@@ -77,7 +77,7 @@ class BodyMap:
         return weighted
 
     def joint_names(self, skeleton: Skeleton) -> list[str]:
-        """Return for each joint of body22 the name of the source joint that it is, empty where it is none."""
+        """Return for each joint of body22 the name of the equal source joint; empty if there is none."""
         is_one = (np.count_nonzero(self.weight, axis=1) == 1) & ~self.offset_m.any(axis=(1, 2))
         return [
             skeleton.joint_names[joint] if one else ""
@@ -90,7 +90,7 @@ class BodyMap:
 
 
 def body_map(layout: Layout, skeleton: Skeleton, rest_offsets_m: Array) -> BodyMap:
-    """Return how a layout derives body22 from a source's joints."""
+    """Return the mapping of a layout from a source's joints to body22."""
     table = layout.joint_map(BODY22.name)
     points = {point.name: point for point in layout.points}
     weight = np.zeros((BODY22.num_joints, skeleton.num_joints))
@@ -108,11 +108,11 @@ def body_map(layout: Layout, skeleton: Skeleton, rest_offsets_m: Array) -> BodyM
 
 @dataclass(frozen=True)
 class OwnSkeleton:
-    """Motion of a person on the skeleton of its file, with the mapping to body22.
+    """Motion of a person on the skeleton of the file, with the mapping to body22.
 
     Args:
-        motion: The motion; its rotations are relative to the source's rest pose.
-        body: body22 as points of its joints.
+        motion: The motion, with rotations relative to the source's rest pose.
+        body: The mapping.
     """
 
     motion: Motion
@@ -125,17 +125,17 @@ class OwnSkeleton:
         return self.body.positions(self.motion.rest_positions_m()[None], still)[0]
 
     def scaled_offsets(self, bone_scale: Array) -> Array:
-        """Return rest offsets (J, 3), metres, with which the bones of body22 have `bone_scale` (22,) of their lengths.
+        """Return rest offsets (J, 3), metres, that scale the bones of body22 by `bone_scale` (22,).
 
-        Least squares over a scale for each of the source's bones, in its rest pose.  Joints of body22 that are joints
-        of the source keep their distances to each other exactly where that is possible; bones that body22 says nothing
-        of, such as fingers, are scaled as the bone before them.  The root's entry of `bone_scale` is not used.
+        This is a least-squares fit of a scale for each of the source's bones, in the rest pose.  Distances between
+        joints of body22 that are joints of the source are exact if possible; bones outside body22, such as fingers, are
+        scaled like the bone before them.  The root's entry of `bone_scale` is not used.
         """
         skeleton, offsets, rest = self.motion.skeleton, self.motion.rest_offsets_m, self.rest_body22_m
         wanted = place_bones(
             BODY22, np.zeros(3), rest - rest[[max(parent, 0) for parent in BODY22.parents]], bone_scale
         )
-        places = np.zeros((skeleton.num_joints, skeleton.num_joints, 3))  # of joint i, for a scale of 1 of bone k
+        places = np.zeros((skeleton.num_joints, skeleton.num_joints, 3))  # of joint i, per scale of bone k
         for joint in skeleton.order[1:]:
             places[joint] = places[skeleton.parents[joint]]
             places[joint, joint] = offsets[joint]
@@ -146,7 +146,7 @@ class OwnSkeleton:
         share = np.where(np.isin(joints, list(self._exact)), 1.0, _HOLD_INNER)[:, None]
         rows = share[..., None] * (body[joints] - body[above])
         values = share * (wanted[joints] - wanted[above] - carried[joints] + carried[above])
-        # Along one bone of body22 all of the source's are scaled alike where that will do; the rest as what carries it.
+        # Bones of the source along one bone of body22 are scaled alike if possible, other bones like the one before.
         length = np.linalg.norm(offsets, axis=-1)
         hold = np.zeros((skeleton.num_joints, skeleton.num_joints))
         held = np.zeros(skeleton.num_joints)
@@ -167,15 +167,15 @@ class OwnSkeleton:
     def posed(self, body22_m: Array, bone_scale: Array, *, meets_tips: bool = True) -> Motion:
         """Return the motion with scaled bones, posed so that its body22 has positions (frame, 22, 3), metres.
 
-        From the root outwards every joint that moves joints of body22 turns, from the source's own rotation and by the
-        shortest way, until they lie where they are wanted: one is met in its direction, several in the least-squares
-        sense (Kabsch).  Elbows and knees give way so that wrists and ankles are met.  All other joints keep their local
-        rotation: fingers ride on the hand.  With the source's own body22 and scales of 1 this is the source itself.
+        From the root outwards, every joint that moves joints of body22 is turned from its rotation in the source by the
+        shortest rotation that brings them to their targets: a single one in direction, several in the least-squares
+        sense (Kabsch).  Elbows and knees adapt so that wrists and ankles reach their targets.  Other joints, such as
+        fingers, keep their local rotation.  With the body22 of the source and scales of 1 the result is the source.
 
         Args:
-            body22_m: Where body22 is wanted (frame, 22, 3), metres.
+            body22_m: Target positions of body22 (frame, 22, 3), metres.
             bone_scale: Scale of each bone (22,).
-            meets_tips: False when limbs shall have the directions of body22 instead, wherever they then end.
+            meets_tips: If false, limbs have the directions of body22, wherever they end.
         """
         source, skeleton = self.motion, self.motion.skeleton
         if body22_m.shape != (source.num_frames, BODY22.num_joints, 3):
@@ -233,10 +233,10 @@ class OwnSkeleton:
         return replace(source, rest_offsets_m=offsets, root_translation_m=place[:, root], local_unitquat=local)
 
     def retargeted(self, body22_m: Array, bone_scale: Array) -> OwnSkeleton:
-        """Return the person with scaled bones in a variant's body22 (frame, 22, 3), metres.
+        """Return the person with scaled bones, posed as a variant's body22 (frame, 22, 3), metres.
 
-        Variants have bones of constant length, the source's median ones; by what the source's own body22 differs from
-        those - where a joint of it lies between joints that move - the positions are put right first.
+        Variants have bones of constant length, the median lengths of the source.  The body22 of the source may differ
+        from that if its joints lie between joints that move; the targets are corrected by the difference first.
         """
         moved = self.body.of(self.motion)
         lengths = np.median(bone_lengths(BODY22, moved), axis=0)
@@ -245,7 +245,7 @@ class OwnSkeleton:
         return OwnSkeleton(self.posed(body22_m + moved - constant, bone_scale), BodyMap(self.body.weight, offset))
 
     def _exact_before(self, joint: int) -> int:
-        """Return the joint of body22 above another, for an exact one the nearest exact one, if there is any."""
+        """Return the joint of body22 above another; for an exact joint the nearest exact one above, if any."""
         before = BODY22.parents[joint]
         while joint in self._exact and before not in self._exact and before != BODY22.root:
             before = BODY22.parents[before]
@@ -253,21 +253,21 @@ class OwnSkeleton:
 
     @cached_property
     def _exact(self) -> frozenset[int]:
-        """Joints of body22 that are one joint of the source, or a point that one carries."""
+        """Joints of body22 that are one joint of the source, or a point fixed to one."""
         return frozenset(np.flatnonzero(np.count_nonzero(self.body.weight, axis=1) == 1).tolist())
 
     @cached_property
     def _below(self) -> list[frozenset[int]]:
-        """For each joint of the source those that move when it turns."""
+        """For each joint of the source the joints that move when it turns."""
         skeleton = self.motion.skeleton
         return [frozenset(skeleton.branch(joint)[1:]) for joint in range(skeleton.num_joints)]
 
     @cached_property
     def _ends(self) -> dict[int, tuple[int, bool]]:
-        """For each joint of body22 that determines poses, the last of the source's joints it needs.
+        """For each joint of body22 that determines poses, the last source joint that it depends on.
 
-        And whether that joint carries it, so that it moves when that joint turns.  Of those that end in one joint the
-        ones between joints are skipped, and so are those that need several branches.
+        The flag says whether it moves when that joint turns.  Joints of body22 that depend on several branches are left
+        out, and inexact ones whose last source joint is also that of an exact one.
         """
         ends: dict[int, tuple[int, bool]] = {}
         for joint in range(BODY22.num_joints):
@@ -280,7 +280,7 @@ class OwnSkeleton:
 
     @cached_property
     def _aims(self) -> list[list[int]]:
-        """For each joint of the source the joints of body22 that it turns to their places: the next ones below it."""
+        """For each joint of the source the joints of body22 that it turns to their targets: the next ones below."""
         aims = []
         for source, below in enumerate(self._below):
             stops = [end for end, is_carried in self._ends.values() if not is_carried and end in below]
@@ -289,7 +289,7 @@ class OwnSkeleton:
         return aims
 
     def _moves(self, source: int, joint: int) -> bool:
-        """Tell whether a joint of body22 moves when a joint of the source turns."""
+        """Return whether a joint of body22 moves when a joint of the source turns."""
         end, is_carried = self._ends[joint]
         return end in self._below[source] or (end == source and is_carried)
 
@@ -297,9 +297,8 @@ class OwnSkeleton:
 def standing(made: OwnSkeleton) -> OwnSkeleton:
     """Return the same motion with rotations from a standing T-pose: upright, facing +Z, arms out along X.
 
-    Every joint j gets a rest frame Q_j, that of the source's rest pose when it is made to stand: offsets become
-    Q_parent offset, world rotations W_j become W_j Q_j^-1.  So joints lie where they did, and W_j is what it was for
-    whoever counts from the source's rest pose.
+    Every joint j gets a rest frame Q_j, its world rotation in the standing T-pose of the source's skeleton.  Offsets
+    become Q_parent offset, and world rotations W_j become W_j Q_j^-1.  Positions of joints do not change.
     """
     motion, skeleton = made.motion, made.motion.skeleton
     rest = made.rest_body22_m
@@ -324,7 +323,7 @@ def standing(made: OwnSkeleton) -> OwnSkeleton:
 
 
 def with_end_sites(made: OwnSkeleton) -> OwnSkeleton:
-    """Return the same with End Sites, see `ended`."""
+    """Return the same person with End Sites, see `ended`."""
     motion = ended(made.motion)
     padding = ((0, 0), (0, motion.skeleton.num_joints - made.motion.skeleton.num_joints))
     return OwnSkeleton(
@@ -335,8 +334,8 @@ def with_end_sites(made: OwnSkeleton) -> OwnSkeleton:
 def ended(motion: Motion) -> Motion:
     """Return the motion with an End Site, `<joint>_end`, for every joint that would have no length without one.
 
-    Programs draw a joint from where it lies to where those below it lie.  A joint without any goes on as the bone
-    before it does; one whose children lie on it points to where their bones end.  A source's own End Sites are kept.
+    Programs draw a bone from a joint to the joints below it.  The End Site of a leaf continues the bone before it; that
+    of a joint whose children coincide with it points to the ends of their bones.  End Sites of the source are kept.
     """
     skeleton, offsets = motion.skeleton, motion.rest_offsets_m
     names: list[str] = []
@@ -360,23 +359,23 @@ def ended(motion: Motion) -> Motion:
 
 
 def _turn_onto(start: Array, end: Array) -> Array:
-    """Return the rotations (frame, 4) that turn points (frame, n, 3) about the origin best onto others."""
+    """Return the rotations (frame, 4) about the origin that fit points (frame, n, 3) best to others."""
     if start.shape[1] == 1:
         return swing_between(start[:, 0], end[:, 0])
     hold = np.broadcast_to(_HOLD_M * np.eye(3), (len(start), 3, 3))
     held = hold
-    for _ in range(3):  # what is held is held to the turn found before, so that it does not hold back the rest
+    for _ in range(3):  # the hold follows the last rotation, so that it does not pull the fit back
         turn = best_rotation(np.concatenate([start, hold], axis=1), np.concatenate([end, held], axis=1))
         held = _HOLD_M * np.swapaxes(turn, -1, -2)
     return unitquat_from_rotmat(turn)
 
 
 def _bent(joint_m: Array, tip_m: Array, first_m: Array, second_m: Array) -> Array:
-    """Return where the middle joint of a limb of two bones lies when its tip is met, nearest to where it is wanted.
+    """Return the position of the middle joint of a two-bone limb whose tip is on target, nearest to the joint's target.
 
     Args:
-        joint_m: Where the middle joint is wanted, from the limb's root (frame, 3), metres.
-        tip_m: Where the tip is wanted (frame, 3); out of reach, the limb is stretched towards it.
+        joint_m: Target of the middle joint, from the limb's root (frame, 3), metres.
+        tip_m: Target of the tip (frame, 3), metres; if it is out of reach, the limb is stretched towards it.
         first_m: Length of the first bone (frame,).
         second_m: Length of the second bone (frame,).
     """

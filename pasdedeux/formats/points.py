@@ -1,12 +1,12 @@
-"""Reading points as programs export them: MediaPipe's landmarks and those of other detectors, in JSON and tables.
+"""Reading landmarks of MediaPipe and keypoints of other detectors in JSON and tables.
 
-MediaPipe itself writes no file.  What is read is what people's programs have in common: a frame is a list of points, in
-order or by name, alone or one list for each person; a table has a row for each landmark (`frame, landmark_id, x, y, z,
-visibility`) or a row for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, ...`, with several people `p1_nose_x`),
-also with the rows of DeepLabCut above it (`scorer`, `individuals`, `bodyparts`, `coords`).
+MediaPipe itself writes no file; the common forms of other programs are read.  In JSON, a frame is a list of points, in
+order or by name, alone or one list for each person.  A table has a row for each landmark (`frame, landmark_id, x, y, z,
+visibility`) or for each frame (`nose_x, nose_y, ...` or `x0, y0, z0, v0, ...`; with several people `p1_nose_x`), also
+below the header rows of DeepLabCut (`scorer`, `individuals`, `bodyparts`, `coords`).
 
-JSON may have frames by number or image, and in them people by number or name, as AlphaPose's forms of OpenPose have; or
-people by number (`person_0`) and in them their frames.
+JSON may have frames by number or image with people by number or name, as in AlphaPose's variants of OpenPose, or people
+by number (`person_0`) with frames.
 """
 
 from __future__ import annotations
@@ -77,13 +77,13 @@ _LISTS = re.compile(
     r"(?:\[\s*(?:\[\s*\]\s*,\s*)*){2,5}(?:-?\d|null|NaN)"
     r'|\[\s*(?:\{\s*\}\s*,\s*)*(?:\{\s*"[^"]*"\s*:\s*){2}\[\s*(?:-?\d|null|NaN)'
 )
-"""How JSON of bare lists of numbers begins: lists of frames, or of objects of people with named joints."""
+"""Beginning of JSON that has only lists of numbers: lists of frames, or of objects of people with named joints."""
 
 
 def read_points(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
     """Read landmarks in pixels or relative to the image; missing points and points at (0, 0) are not detected.
 
-    Without a number of its own, a frame is where it stands.  Points in order may be another detector's.
+    A frame without a number is numbered by its position.  Unnamed points may be of another detector.
     """
     what = "file of landmarks"
     footage = UNKNOWN
@@ -111,7 +111,7 @@ def read_points(data: bytes | str, sequence_id: str, layout: str | KeypointLayou
 
 
 def _is_points(start: FileStart) -> bool:
-    """Tell whether the file is JSON of landmarks or of lists of points, or a table whose columns are theirs."""
+    """Return whether the file is JSON of landmarks or of lists of points, or a table with such columns."""
     if start.is_json:
         if start.has_key("people") and not start.is_by_frame:
             return False
@@ -134,11 +134,11 @@ POINTS = AnnotationFormat(
     recognises=_is_points,
     read_file=read_points,
 )
-"""Points by frame; JSON may state rate and image size, which shares of the image need."""
+"""Points by frame; JSON may state rate and image size, which relative coordinates need."""
 
 
 def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:
-    """Return what stands under the first of these keys that is there, None under none."""
+    """Return the value of the first of these keys that is there and not null, else None."""
     return next((content[key] for key in keys if content.get(key) is not None), None)
 
 
@@ -178,7 +178,7 @@ def _of_frames(content: Any) -> Iterator[Detection]:
 
 
 def _by_frame(content: Any) -> Any:
-    """Return people by number with their frames as frames with their people, anything else as it is."""
+    """Convert people with frames to frames with people; return other content unchanged."""
     are_people = isinstance(content, dict) and content and all(map(_PERSON.fullmatch, content))
     if not are_people or not all(map(_is_nested, content.values())):
         return content
@@ -206,13 +206,13 @@ def _is_nested(value: Any) -> bool:
 
 
 def _is_pose(value: Any) -> bool:
-    """Tell whether a value is the points of one person: a list in order, or an object by name."""
+    """Return whether a value is the points of one person: a list in order, or an object by name."""
     points = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
     return len(points) > 2 and all(_is_point(point) for point in points)
 
 
 def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | str | None, Array, Names]]:
-    """Yield everybody in a value: number or name, points (K, 3), and their names; None where there is none."""
+    """Yield number or name, points (K, 3) and names of the points of each person; None for what is missing."""
     if value is None or value in ([], {}):
         return
     if isinstance(value, list) and len(value) / 3 in LAYOUTS_OF_COUNT and not any(map(_is_nested, value)):
@@ -239,9 +239,9 @@ def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | 
 
 
 def _table(points: Sequence[Any]) -> Array:
-    """Return x, y and visibility (K, 3) of points: objects, or lists of x, y, perhaps z, and perhaps visibility.
+    """Return x, y and visibility (K, 3) of points: objects, or lists of x, y and optionally z and visibility.
 
-    The third number of three is a confidence where none of them is negative, as depths are, and else a depth.
+    The third of three numbers is a confidence if all of them are within 0 to 1, else a depth.
     """
     thirds = [point[2] for point in points if isinstance(point, list) and len(point) == 3]
     has_depth = any(third is not None and not 0 <= third <= 1 for third in thirds)
@@ -280,7 +280,7 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
     numbers: dict[tuple[str, int, int | str | None, int], int] = {}
     seen: Counter[tuple[str, int, int | str | None]] = Counter()
     for position, (line, row) in enumerate(cells):
-        lines.number = line  # where errors are
+        lines.number = line  # for errors
         in_video, frame = places.get(row[frame_key], ("", None)) if frame_key else ("", position)
         if frame is None:
             frame = _count(row[str(frame_key)], str(frame_key))
@@ -292,7 +292,7 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
                 raise FormatError(f"'{shorten(name)}' is no landmark; known: 0 to {len(_NAMES) - 1}, or names")
             points = {name: [_value(row, key) for key in (plain["x"], plain["y"], seen_key)]}
             place = (video, frame, person)
-            # Of people without numbers, the next one begins where a landmark comes again.
+            # Among people without numbers, the next one begins when a landmark is repeated.
             seen[place] += name in people.get((*place, seen[place]), {}) and person is None
             key = (*place, seen[place])
             if name in people.get(key, {}):
@@ -324,7 +324,7 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
 
 
 def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:
-    """Return columns and rows of a table of DeepLabCut, whose first rows say what a column is."""
+    """Return columns and rows of a table of DeepLabCut, whose first rows describe the columns."""
     rows, head = lines.rows(), dict[str, list[str]]()
     while "coords" not in head:
         row = next(rows, None)
@@ -353,7 +353,7 @@ def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:
 
 
 def _columns_by_landmark(header: Sequence[str]) -> dict[str, dict[str, tuple[str, str, str | None]]]:
-    """Return the columns of x, y and visibility of each landmark of each person, where a row is a frame."""
+    """Return the columns of x, y and visibility of each landmark of each person, for tables with a row per frame."""
     by_person: dict[str, dict[str, dict[str, str]]] = {}
     for column in header:
         if match := _COLUMN.fullmatch(column):

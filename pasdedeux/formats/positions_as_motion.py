@@ -1,4 +1,4 @@
-"""Positions as a motion whose rotations are swings: as motion, and as what a file gives."""
+"""Conversion of positions to a motion whose rotations are swings."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pasdedeux.skeletons import Skeleton
 
 
 def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
-    """Return a motion for positions (frame, J, 3) that came without rotations: the rotations are swings only.
+    """Return a motion for positions (frame, J, 3) without rotations; its rotations are swings only.
 
-    The rest pose has the median bone lengths and the directions of the first frame.  Where bone lengths vary the
-    motion's joints differ from the positions by that much.
+    The rest pose has the median bone lengths and the directions of the first frame.  If bone lengths vary, the joints
+    of the motion differ from the positions by that much.
     """
     for frame, joint in np.argwhere(~np.isfinite(positions_m).all(axis=-1)):
         raise InputError(f"frame {frame}: the position of '{skeleton.joint_names[joint]}' is not finite")
@@ -39,7 +39,7 @@ def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float
 def source_from_positions(
     skeleton: Skeleton, positions: Array, *, rate_hz: float | None, metres_per_unit: float | None
 ) -> SourceMotion:
-    """Return what a file of positions (frame, J, 3) gives, in its own unit; see `motion_from_positions`."""
+    """Return the source motion for positions (frame, J, 3) in a file's unit; see `motion_from_positions`."""
     motion = motion_from_positions(skeleton, positions, rate_hz or 1.0)
     return SourceMotion(
         skeleton=motion.skeleton,

@@ -1,4 +1,4 @@
-"""Our npz of 3D joint positions without rotations.
+"""The npz format of this project for 3D joint positions without rotations.
 
 `positions_m` (frame, joint, 3) of one person or (frame, person, joint, 3), metres, `joint_names` (joint,) of texts,
 `parents` (joint,) with -1 for the root (optional when the names are those of body22), `rate_hz`.
@@ -54,7 +54,7 @@ def read_positions_npz(data: bytes, companion: bytes = b"", person: int = 0) -> 
 
 
 def _frames_first(positions: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return positions (frame, person, joint, 3), also where the few people come before the many frames."""
+    """Return positions (frame, person, joint, 3), also if the axis of people comes first in the file."""
     return np.swapaxes(positions, 0, 1) if positions.shape[0] <= _MAX_PEOPLE < positions.shape[1] else positions
 
 
@@ -72,4 +72,4 @@ POSITIONS_NPZ = MotionFormat(
     count_people=_count_people,
     has_rotations=False,
 )
-"""Our npz of 3D positions: metres, y up; it may state its rate."""
+"""Our npz of 3D positions in metres, y up, which may state its rate."""

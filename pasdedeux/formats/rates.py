@@ -1,4 +1,4 @@
-"""Frame rates that files mean where they state them rounded."""
+"""True frame rates for rates and frame times that files state rounded."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 _USUAL_HZ = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 150, 180, 200, 240, 250, 300, 360, 480, 500)
-"""Whole rates that cameras and capture systems run at."""
+"""Usual whole rates of cameras and capture systems."""
 _SAME = 2e-4
-"""Share by which rates differ that are one, written with other digits: 30 and 30.0003 Hz; 29.97 differs by 1e-3."""
+"""Largest relative difference of equal rates, such as 30 and 30.0003 Hz; that of 30 and 29.97 is 1e-3."""
 _ROUGH = 0.01
-"""Share of a rate within which the digits of a frame time must hold it."""
+"""Largest relative uncertainty of the rate of a frame time without a doubt."""
 _RESOLUTION = 1e-12
-"""Share of a time that the digits of a float tell."""
+"""Relative resolution of a time in a float."""
 
 
 def is_one_rate(first_hz: float, second_hz: float) -> bool:
@@ -22,7 +22,7 @@ def is_one_rate(first_hz: float, second_hz: float) -> bool:
 
 
 def one_rate(rates_hz: Sequence[float]) -> list[float]:
-    """Return rates with those that are one made the same: the first of them.
+    """Return rates in which equal ones, up to rounding, are replaced by the first.
 
     >>> one_rate([30.0, 30.0003, 29.97])
     [30.0, 30.0, 29.97]
@@ -34,7 +34,7 @@ def one_rate(rates_hz: Sequence[float]) -> list[float]:
 
 
 def plain_rate(rate_hz: float) -> float:
-    """Return the whole rate that a rate means, such as 30 for 30.0003; another as it is, such as 29.97.
+    """Round a rate that is whole up to rounding, such as 30.0003; others, such as 29.97, stay.
 
     >>> plain_rate(30.0003), plain_rate(29.97)
     (30.0, 29.97)
@@ -44,11 +44,10 @@ def plain_rate(rate_hz: float) -> float:
 
 
 def rate_from_frame_time(token: str) -> tuple[float, str]:
-    """Return the frame rate that a frame time means as written, and a note where that had to be chosen.
+    """Return the frame rate of a frame time as written, and a note if it is uncertain.
 
-    Files cut the time to a few digits: 0.0333 is 30 Hz and 0.008333 is 120 Hz.  If exactly one whole number of frames
-    per second rounds or cuts to these digits it is meant; of several the one that is usual, 0.033 is 30 Hz; else the
-    inverse is (0.033367 is 29.97 Hz).
+    Files cut the time to a few digits: 0.0333 is 30 Hz and 0.008333 is 120 Hz.  If exactly one whole rate rounds or
+    cuts to these digits, it is taken; of several the usual one (0.033 is 30 Hz); else the inverse (0.033367 is 29.97).
     """
     time = float(token)
     mantissa, _, exponent = token.lower().partition("e")

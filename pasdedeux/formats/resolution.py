@@ -1,7 +1,7 @@
-"""What a motion file is taken to be: layout, rate, length unit and up axis, each with where it comes from.
+"""Layout, rate, length unit and up axis of a motion file.
 
-One place decides, so that what `study new` calls sure is what a study accepts and `retarget` takes: what is stated
-wins, then what is known of a published file, then what the file says, then what its content shows.
+`study new`, ingest and `retarget` decide here, so they agree.  Statements of the user come first, then facts about
+published files, then statements of the file, then estimates from its content.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from pasdedeux.skeletons.layouts import Layout, resolve_layout
 from pasdedeux.skeletons.layouts.layout import Table
 
 MIN_UNIT_CONFIDENCE = 0.3
-"""A length unit that is guessed with less must be stated."""
+"""A length unit guessed with a lower confidence must be stated."""
 SURE = 0.6
-"""Confidence of a guessed unit or axis below which a take is doubted: a very small or tall adult has 0.5."""
+"""Confidence of a guessed unit or axis below which a take gets a warning; a very small or tall adult has 0.5."""
 
 Mappings = Mapping[str, Mapping[Any, Table]]
-"""Layouts of a study's own, and changes to known ones, as `resolve_layout` takes them."""
+"""Layouts of a study, and changes to known ones, see `resolve_layout`."""
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Statements of the user on a motion file; None and "auto" if nothing is stated."""
+    """Statements of the user about a motion file; None and "auto" if nothing is stated."""
 
     layout: str = "auto"
     rate_hz: float | None = None
@@ -37,7 +37,7 @@ class Stated:
 
 @dataclass(frozen=True)
 class KnownSource:
-    """Facts about a published file; None where nothing is known and the file is believed."""
+    """Facts about a published file that override its statements; None if there are none."""
 
     rate_hz: float | None = None
     metres_per_unit: float | None = None
@@ -45,13 +45,13 @@ class KnownSource:
 
 @dataclass(frozen=True)
 class Resolution:
-    """What a motion file is taken to be.
+    """Layout, rate and unit of a motion file.
 
     Args:
-        layout: Its joints, fitted to its skeleton; None where no layout fits.
-        why_no_layout: Why none fits; empty where one does.
-        rate_hz: Its true frame rate; None where nobody says it.
-        unit: Length of its unit: confidence 1 where it is stated, known or in the file.
+        layout: The layout fitted to its skeleton; None if none fits.
+        why_no_layout: The reason if none fits, else empty.
+        rate_hz: Its true frame rate; None if unknown.
+        unit: Length of its unit, with confidence 1 if it is stated, known or in the file.
     """
 
     layout: Layout | None
@@ -63,7 +63,7 @@ class Resolution:
         """Return the layout.
 
         Raises:
-            InputError: There is none; says why.
+            InputError: There is none; the message has the reason.
         """
         if self.layout is None:
             raise InputError(self.why_no_layout)
@@ -83,7 +83,7 @@ class Resolution:
         """Return the length of the unit, metres.
 
         Raises:
-            InputError: It is a guess that nobody should rely on.
+            InputError: It is a guess of too low confidence.
         """
         if self.unit.confidence < MIN_UNIT_CONFIDENCE:
             raise InputError(f"its unit of length is unknown ({self.unit.reason}); set metres_per_unit for this take")
@@ -96,9 +96,9 @@ def resolve_motion(
     known: KnownSource = KnownSource(),
     mappings: Mappings | None = None,
 ) -> Resolution:
-    """Return what a motion file is taken to be; its rest pose is enough.
+    """Determine layout, rate and unit of a motion file; its rest pose is enough.
 
-    A layout that does not fit the rest pose, because it puts two joints on one place, is none.
+    A layout that puts two joints of the rest pose in one place does not fit.
     """
     layout, why_not = None, ""
     try:
@@ -126,14 +126,14 @@ def resolve_up_axes(
 ) -> list[AxisGuess]:
     """Return the up axis of each person's file: as stated, else detected from the standing bodies.
 
-    A person who clearly stands along the same axis as the rest pose has that axis. The others have the axis of those
-    who stand most clearly, because one of two people captured together may lie on the floor all the time.
+    A person who clearly stands along the same axis as the rest pose has that axis.  Others get the axis of the person
+    who stands most clearly, because one of two people captured together may lie on the floor all the time.
 
     Args:
-        sources: The motion of each person.
-        layouts: Layout of the joints of each; None where it is unknown.
-        stated: What is said of each: an axis, or "auto".
-        stands_alone: Whether each has a file of his own, with a rest pose.
+        sources: Motion of each person.
+        layouts: Layout of the joints of each person; None if unknown.
+        stated: Stated axis of each person, or "auto".
+        stands_alone: Whether each person has a separate file with a rest pose.
     """
     guesses = [
         guess_up_axis(source, layout) if axis == "auto" else AxisGuess(axis, 1.0)
@@ -156,8 +156,8 @@ def resolve_up_axes(
 def mend_of_mirror(exchanged: Sequence[bool]) -> str:
     """Return the setting that corrects exchanged left and right for the people in this mask.
 
-    A mirror shows everybody of a scene: where others are right, only names are exchanged.  Of one person alone nothing
-    tells, because a body looks like its mirror image.
+    A mirror affects all people of a scene; if only some are exchanged, only names are.  For one person alone this
+    cannot be decided, because a body looks like its mirror image.
     """
     if all(exchanged):
         return 'set mirrored = true, or "names" where the scene is right and only names are exchanged'

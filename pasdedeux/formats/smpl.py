@@ -1,10 +1,10 @@
-"""Parameters of SMPL-like bodies as motion and back: SMPL, SMPL-H and SMPL-X as AMASS, InterHuman and others have them.
+"""Conversion between motions and parameters of SMPL, SMPL-H and SMPL-X, as in AMASS, InterHuman and others.
 
 A pose is a rotation vector for each joint of the body model, a translation of its root, and betas, which shape the body
-(Loper et al. 2015, "SMPL: a skinned multi-person linear model", eq. 8 to 10).  The model is the user's own file, an npz
-with `J_regressor`, `v_template`, `shapedirs` and `kintree_table`: it gives the joints at rest that betas mean.  body22
-is their 22 body joints, here under the names of body22, whose toes they call feet.  Nothing else of the model is read,
-and no pickle.
+(Loper et al. 2015, "SMPL: a skinned multi-person linear model", eq. 8 to 10).  The model is a file of the user, an npz
+with `J_regressor`, `v_template`, `shapedirs` and `kintree_table`, from which the rest joints for betas are computed.
+Its 22 body joints are those of body22, whose toes are called feet there.  Nothing else of the model is read, and no
+pickle.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ JOINTS = {
 """Joints of each kind of model, in the order of its parameters."""
 _KIND_OF_COUNT = {len(joints): kind for kind, joints in JOINTS.items()}
 _SHAPES = {400: 300, 20: 10}
-"""Of the directions of SMPL-X, those of shape come first, then those of the face."""
+"""Number of shape directions by the number of all directions: in SMPL-X those of the face follow."""
 _MODEL = ("J_regressor", "v_template", "shapedirs", "kintree_table")
 _ALIASES = {
     "poses": ("poses",),
@@ -83,11 +83,11 @@ _ALIASES = {
     "betas": ("betas",),
     "mocap_framerate": ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps", "rate_hz"),
 }
-"""What data sets call the same thing; jaw and eyes, which move no joint of the body, are not read apart."""
+"""Names of parameters in data sets; separate jaw and eyes, which move no body joint, are not read."""
 _CALLED = {alias: name for name, aliases in _ALIASES.items() for alias in aliases}
 _RATE = "mocap_framerate"
 _HOLD = 1e-4
-"""Weight of betas of 1, beside 1 for a metre of bone, in their fit: bones decide wherever they can."""
+"""Weight of betas in their fit, relative to metres of bone length, so that they are fixed by bones if possible."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,9 @@ class BodyModel:
     """Rest joints of a body model.
 
     Args:
-        skeleton: Its joints, those of the body under the names of body22.
-        joints_m: Places without betas (J, 3), metres, Y up, facing +Z.
-        shape_m: What a unit of each of B betas moves them by (J, 3, B), metres.
+        skeleton: Its joints; body joints have the names of body22.
+        joints_m: Positions for zero betas (J, 3), metres, Y up, facing +Z.
+        shape_m: Displacement of the joints per unit of each of B betas (J, 3, B), metres.
     """
 
     skeleton: Skeleton
@@ -110,7 +110,7 @@ class BodyModel:
         return _KIND_OF_COUNT[self.skeleton.num_joints]
 
     def rest_m(self, betas: Array) -> Array:
-        """Return the joints (J, 3) of a body, metres; InputError where it has more betas than the model."""
+        """Return the joints (J, 3) of a body, metres; an InputError if it has more betas than the model."""
         count = self.shape_m.shape[-1]
         if np.any(betas[count:]):
             raise InputError(f"the parameters have {len(betas)} betas, the body model has {count}: it is another one")
@@ -121,9 +121,9 @@ class BodyModel:
         return rest_m - rest_m[[max(parent, 0) for parent in self.skeleton.parents]]
 
     def fit_betas(self, lengths_m: Mapping[str, float]) -> tuple[Array, dict[str, float]]:
-        """Return the betas (B,) whose bones have these lengths best, and by how much each bone is longer, metres.
+        """Return the betas (B,) that fit these bone lengths best, and the excess of each bone, metres.
 
-        Least squares over the bones that end in these joints, by Gauss-Newton; betas that no bone tells stay 0.
+        Least squares over the bones that end in these joints, by Gauss-Newton; betas that no bone depends on stay 0.
         """
         bones = self.skeleton.indices(lengths_m)
         parents = [self.skeleton.parents[joint] for joint in bones]
@@ -145,7 +145,7 @@ def read_body_model(data: bytes) -> BodyModel:
     """Read the joints of a body model; opens only the needed arrays of an npz.
 
     Raises:
-        FormatError: It is no npz, lacks an array, or its arrays do not fit each other or any kind of model.
+        FormatError: It is not npz, lacks an array, or its arrays do not fit each other or any kind of model.
     """
     arrays = read_npz(data, "body model", _MODEL.__contains__)
     template = get_array(arrays, "v_template", "f", (None, 3)).astype(np.float64)
@@ -166,9 +166,9 @@ def read_body_model(data: bytes) -> BodyModel:
 
 
 def read_smpl(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMotion:
-    """Read the parameters of one person; of a file of two their arrays are `person1_trans`, `person2_trans`, ...
+    """Read the parameters of one person; in a file of two people arrays are named `person1_trans`, `person2_trans`, ...
 
-    The rest pose stands along the axis along which the body stands in the file, Y or Z, so that both are turned alike.
+    The rest pose stands along the up axis of the file, Y or Z, so that rest pose and motion are turned alike later.
 
     Raises:
         FormatError: An array is missing or has another shape, a value is not finite (the frame is named), or the body
@@ -198,7 +198,7 @@ def read_smpl(data: bytes, companion: bytes = b"", person: int = 0) -> SourceMot
 
 
 def _standing_in_file(source: SourceMotion) -> SourceMotion:
-    """Return the same motion from a rest pose that stands along the file's up axis, not along Y as the model does."""
+    """Return the same motion with a rest pose along the file's up axis; that of the model is along Y."""
     axis = guess_up_axis(source).axis
     if axis == "y":
         return source
@@ -214,7 +214,7 @@ def _standing_in_file(source: SourceMotion) -> SourceMotion:
 
 
 def _base(name: str) -> tuple[int, str]:
-    """Return the person, from 0, and the bare name of an array: `person2_trans` is `trans` of 1; alone it is of 0."""
+    """Return person and bare name of an array: `person2_trans` is `trans` of person 1, `trans` that of person 0."""
     for person in (0, 1):
         if name.startswith(f"person{person + 1}_"):
             return person, name[len("person1_") :]
@@ -226,7 +226,7 @@ def _is_parameter(name: str) -> bool:
 
 
 def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
-    """Return the arrays of one person under the names of `_ALIASES`; the rate is everybody's."""
+    """Return the arrays of one person under the names of `_ALIASES`; the rate is common."""
     by_name: dict[str, Any] = {}
     for name, values in arrays.items():
         who, bare = _base(name)
@@ -236,12 +236,12 @@ def _arrays_of(arrays: Mapping[str, Any], person: int) -> dict[str, Any]:
 
 
 def _count_people(data: bytes) -> int:
-    """Return 2 where there is `person2_trans`."""
+    """Return 2 if there are arrays of a second person, else 1."""
     return 1 + any(_base(name)[0] for name in array_names(data) if _is_parameter(name))
 
 
 def _rotvecs(arrays: Mapping[str, Any], model: BodyModel) -> Array:
-    """Return the rotation vectors (frame, J, 3) of a model's joints; those that are not stated do not turn."""
+    """Return the rotation vectors (frame, J, 3) of a model's joints; zero for joints that are not stated."""
     count = model.skeleton.num_joints
     if "poses" in arrays:
         poses = get_array(arrays, "poses", "f", (None, None)).astype(np.float64)
@@ -277,14 +277,14 @@ def _rotvecs(arrays: Mapping[str, Any], model: BodyModel) -> Array:
 
 
 def _flat(arrays: Mapping[str, Any], key: str, num_frames: int) -> Array:
-    """Return rotation vectors as (frame, n), given as such or as (frame, joint, 3)."""
+    """Return rotation vectors as (frame, n), also if the array is (frame, joint, 3)."""
     values = arrays.get(key)
     shape = (num_frames, None) if values is None or values.ndim != 3 else (num_frames, None, 3)
     return get_array(arrays, key, "f", shape).astype(np.float64).reshape(num_frames, -1)
 
 
 def _betas(arrays: Mapping[str, Any], num_frames: int) -> Array:
-    """Return betas (n,), also where they stand once a frame: then their median."""
+    """Return betas (n,); if the array has a row per frame, their median."""
     given = arrays.get("betas")
     rows = 1 if given is not None and given.ndim == 2 and len(given) == 1 else num_frames
     values = get_array(arrays, "betas", "f", (None,) if given is None or given.ndim == 1 else (rows, None))
@@ -311,7 +311,7 @@ SMPL = MotionFormat(
     count_people=_count_people,
     check_companion=read_body_model,
 )
-"""Parameters of SMPL, SMPL-H and SMPL-X: metres; the rate is stated by some."""
+"""Parameters of SMPL, SMPL-H and SMPL-X in metres; some files state the rate."""
 
 
 @dataclass(frozen=True)
@@ -321,9 +321,9 @@ class SmplMotion:
     Args:
         rotvecs: Rotation vectors of the model's joints (frame, J, 3).
         trans_m: Translation (frame, 3), metres.
-        betas: Shape (B,), a fit to the lengths of the bones.
-        misfit_m: By how much each bone is longer than it should be, metres.
-        away_m: How far the 22 joints of the body lie from where they should (frame, 22), metres.
+        betas: Shape (B,), fitted to the bone lengths.
+        misfit_m: Excess length of each bone, metres.
+        away_m: Distance of the 22 body joints from their true positions (frame, 22), metres.
     """
 
     rotvecs: Array
@@ -334,12 +334,12 @@ class SmplMotion:
 
 
 def smpl_of_motion(model: BodyModel, motion: Motion, body22_m: Array, *, up_axis: str) -> SmplMotion:
-    """Return the parameters of a motion on the joints of a model, Y up; its rest pose may have another up axis.
+    """Return the parameters of a motion that has the joints of a model, Y up; its rest pose may have another up axis.
 
     Args:
         model: The body model.
-        motion: The motion; its bones may have other lengths than the model gives any body.
-        body22_m: Where the joints of the body are (frame, 22, 3), metres.
+        motion: The motion; no body of the model need have its bone lengths.
+        body22_m: Positions of the body joints (frame, 22, 3), metres.
         up_axis: Axis that points up in the parameters.
     """
     betas, misfit = _fit(model, body22_m)
@@ -353,7 +353,7 @@ def smpl_of_motion(model: BodyModel, motion: Motion, body22_m: Array, *, up_axis
 
 
 def smpl_of_body22(model: BodyModel, body22_m: Array, world_unitquat: Array) -> SmplMotion:
-    """Return the parameters of a body22: swing from its bones, twist from its rotations; hands and face do not turn.
+    """Return the parameters of a body22: swing from its bones, twist from its rotations; hands and face at rest.
 
     Args:
         model: The body model.
@@ -376,7 +376,7 @@ def _fit(model: BodyModel, body22_m: Array) -> tuple[Array, dict[str, float]]:
 def _parameters(
     model: BodyModel, betas: Array, misfit: dict[str, float], local: Array, body22_m: Array, up_axis: str
 ) -> SmplMotion:
-    """Return the parameters of local rotations (frame, J, 4), Y up, with the pelvis where it should be."""
+    """Return the parameters of local rotations (frame, J, 4), Y up, with the pelvis at its true position."""
     rest, pelvis = model.rest_m(betas), body22_m[:, BODY22.root]
     posed, _ = forward_kinematics(model.skeleton, model.offsets_m(rest), pelvis, local)
     away_m = np.linalg.norm(posed[:, model.skeleton.indices(BODY22.joint_names)] - body22_m, axis=-1)

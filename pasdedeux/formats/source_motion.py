@@ -1,4 +1,4 @@
-"""A motion as a file gives it: the file's own joints, length unit and up axis."""
+"""A motion as read from a file: the file's joints, length unit and up axis."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ UP_AXES = {
     "-y": (np.pi, 0.0, 0.0),
     "-z": (np.pi / 2, 0.0, 0.0),
 }
-"""Axes that may point up in a file, each with the rotation vector that turns it to y, as it is inside the project."""
+"""Up axes of files, each with the rotation vector that turns it to y, the up axis inside the project."""
 
 _SAMPLE = 200
-"""Frames that guesses are made from."""
+"""Number of frames from which estimates are made."""
 
 
 @dataclass(frozen=True)
 class SourceMotion:
-    """One person's motion in a file's own length unit and axes.
+    """Motion of one person in the length unit and axes of a file.
 
     Args:
         skeleton: The file's joints; End Sites are joints named `<parent>_end` that never turn.
@@ -39,9 +39,9 @@ class SourceMotion:
         root_translation: Position of the root, (frame, 3), file units.
         local_unitquat: Local rotations, (frame, J, 4), x, y, z, w.
         end_sites: Names of the joints that are End Sites.
-        rate_hz: Frame rate the file states, None where it states none.
-        metres_per_unit: Length of the file's unit if the file states it, else None.
-        notes: What the reader assumed or changed, a sentence each.
+        rate_hz: Frame rate that the file states; None if it states none.
+        metres_per_unit: Length of the file's unit; None if the file does not state it.
+        notes: Assumptions and changes of the reader, a sentence each.
     """
 
     skeleton: Skeleton
@@ -79,21 +79,21 @@ class SourceMotion:
         )
 
     def mirrored(self, up_axis: str = "y") -> SourceMotion:
-        """Return the motion as a mirror shows it, joints under their names: mends a file that swaps left and right.
+        """Return the mirror image of the motion with unchanged joint names, for files that show a mirrored scene.
 
-        Twice mirrored is the same motion.
+        Mirroring twice gives the same motion.
         """
         sign = mirror_signs(up_axis)
         return replace(
             self,
             rest_offsets=self.rest_offsets * sign,
             root_translation=self.root_translation * sign,
-            # A turn about an axis in the mirror goes on about the same axis, one across it turns the other way.
+            # Rotations about the axis across the mirror stay, those about axes in its plane change their sign.
             local_unitquat=self.local_unitquat * np.append(-sign, 1.0),
         )
 
     def with_sides_exchanged(self) -> SourceMotion:
-        """Return the motion with the names of left and right exchanged, for files that swap only the names."""
+        """Exchange left and right in the joint names, for files that swap only the names."""
         names = self.skeleton.joint_names
         other = dict(zip(names, with_sides_exchanged(names), strict=True))
         ends = frozenset(other[name] for name in self.end_sites)
@@ -109,7 +109,7 @@ class SourceMotion:
         metres_per_unit: float | None = None,
         notes: tuple[str, ...] = (),
     ) -> SourceMotion:
-        """Return one frame of a rest pose, its root at the origin."""
+        """Return one frame of a rest pose, the root at the origin."""
         return cls(
             skeleton=skeleton,
             rest_offsets=rest_offsets,
@@ -121,12 +121,12 @@ class SourceMotion:
         )
 
     def to_motion(self, *, metres_per_unit: float, rate_hz: float, up_axis: str = "y") -> Motion:
-        """Return the motion in metres, Y up; rest pose and rotations are expressed in the new axes alike.
+        """Return the motion in metres, Y up; rest pose and rotations are converted to the new axes.
 
         Args:
             metres_per_unit: Length of the file's unit, metres.
             rate_hz: True frame rate.
-            up_axis: Axis of the file that points up, as in `UP_AXES`.  The axes are turned, never mirrored.
+            up_axis: Up axis of the file, as in `UP_AXES`.  The axes are rotated, never mirrored.
         """
         world_from_file = upright_from_file(up_axis)
         check_positive(metres_per_unit, "the length of the file's unit in metres")
@@ -150,16 +150,13 @@ class SourceMotion:
 
 
 def mirror_signs(up_axis: str) -> Array:
-    """Return the factors (3,) of the coordinates of a file by which an upright mirror shows it.
-
-    The mirror stands across x, or across z where x points up.
-    """
+    """Return the signs (3,) of the coordinates of a file in a mirror across x, or across z if x points up."""
     upright_from_file(up_axis)
     return np.array([1.0, 1.0, -1.0] if up_axis.endswith("x") else [-1.0, 1.0, 1.0])
 
 
 def upright_from_file(up_axis: str) -> Array:
-    """Return the rotation (4,) from the axes of a file, of which this one points up, to Y up."""
+    """Return the rotation (4,) from the axes of a file with this up axis to Y up."""
     if up_axis not in UP_AXES:
         raise InputError(f"the up axis is '{up_axis}'; allowed: {', '.join(UP_AXES)}")
     return unitquat_from_rotvec(np.array(UP_AXES[up_axis]))

@@ -1,4 +1,4 @@
-"""Somebody's body as distances between joints: read from a motion file, a table or joint positions, and fitted to."""
+"""Target bodies as distances between joints: reading them, and fitting the bones of a person to them."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ Distances = Mapping[tuple[int, int], float]
 """Metres between two joints of body22, by their indices."""
 
 NEEDED = by_side("left", *LEG, *ARM)
-"""Joints that positions of a body must have; what others are not there is scaled like the rest of the body."""
+"""Joints that a body must have; missing other joints are scaled like the rest of the body."""
 OTHER_NAMES = {f"{side}_foot": f"{side}_toe" for side in ("left", "right")}
-"""Names of SMPL's joints that body22 calls otherwise; all others are the same."""
+"""Joints of SMPL that have another name in body22."""
 DISTANCE_M = (0.01, 2.5)
-"""Distances outside these are no person's: mostly another unit."""
+"""Allowed distances, metres; others are mostly in another unit."""
 SIZE = (1.0 / 3.0, 3.0)
-"""Overall sizes against the source outside these are no person's either."""
+"""Allowed overall sizes relative to the source."""
 
 _COLUMNS = ("from", "to", "distance_m")
 _TRUNK = [
     BODY22.indices(["spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]),
     BODY22.indices(["spine2", "spine3", "neck", "head", "left_shoulder", "right_shoulder"]),
 ]
-"""Bones that are one length of the body: the spine with neck and head, each shoulder."""
+"""Pairs of neighbouring bones that are scaled alike: the spine with neck and head, each shoulder."""
 _HOLD_TRUNK_M, _HOLD_SIDES_M, _HOLD_BODY_M = 0.1, 0.02, 0.002
-"""What a difference of 1 between scales counts against a misfit: in the trunk, of both sides, of any bone and all."""
+"""Misfit that is equivalent to a difference of 1 between scales: in the trunk, of both sides, of bone and body."""
 _LIMBS = {joint for limb in BODY22.limbs for joint in limb}
 _NUM_ROUNDS = 20
 
@@ -47,11 +47,11 @@ class TargetBody:
     """A body.
 
     Args:
-        name: Where it is from, for messages.
+        name: Its origin, for messages.
         distances_m: Distance between two joints of body22, by their indices, metres, standing with limbs straight.
-        layout: Layout whose people have their joints in the same places of the trunk; empty for nobody's.
-        bones_m: The bones between those joints, for people of that layout in place of `distances_m`.
-        checks_m: Distances that are not fitted to, only compared with.
+        layout: Layout whose trunk joints are at the same places as those of the body; empty for none.
+        bones_m: Bone lengths, which are fitted instead of `distances_m` for people of that layout.
+        checks_m: Distances that are compared but not fitted.
     """
 
     name: str
@@ -61,7 +61,7 @@ class TargetBody:
     checks_m: Distances = field(default_factory=dict)
 
     def of(self, layout: str) -> Distances:
-        """Return what people of a layout are measured by."""
+        """Return the distances to fit for people of a layout."""
         return self.bones_m if self.bones_m and layout == self.layout else self.distances_m
 
 
@@ -71,8 +71,8 @@ class BodyFit:
 
     Args:
         bone_scale: Scale of each bone (22,); 1 for the root.
-        misfit_m: How much longer each distance of the body is with these bones, in the person's own T-pose, metres.
-        num_guessed: Bones that no distance tells anything of.
+        misfit_m: Excess of each distance of the body with these bones, in the person's T-pose, metres.
+        num_guessed: Number of bones that no distance depends on.
     """
 
     bone_scale: Array
@@ -81,10 +81,10 @@ class BodyFit:
 
 
 def body_of_skeleton(name: str, own_skeleton: OwnSkeleton, layout: str) -> TargetBody:
-    """Return the body of a motion file's skeleton, whose joints a layout names.
+    """Return the body of a motion file's skeleton with this layout.
 
-    Layouts put pelvis and spine at places of their own, so between people of different ones a trunk is measured by how
-    broad and long it is, limbs bone by bone.
+    Layouts differ in the places of pelvis and spine.  For people of other layouts, the trunk is therefore measured by
+    its width and length, and limbs by their bones.
     """
     with named(name):
         body = _of_positions(name, standing(own_skeleton).rest_body22_m[None], BODY22.joint_names, layout)
@@ -111,20 +111,20 @@ def read_body(name: str, data: bytes) -> TargetBody:
 def fit_body(target: TargetBody, own_skeleton: OwnSkeleton, lengths_m: Array, *, layout: str, who: str) -> BodyFit:
     """Return the bone scales with which a person has a body's distances.
 
-    Least squares (Gauss-Newton) over the scales of 21 bones, the person standing in a T-pose; bones of which nothing is
-    known are as those of the other side, the spine as a whole, and else as the whole body.
+    Least squares (Gauss-Newton) over the scales of 21 bones, the person standing in a T-pose.  Bones that no distance
+    depends on are scaled like those of the other side, the neighbouring bone of the spine, or the whole body.
 
     Args:
         target: The body.
         own_skeleton: The person.
-        lengths_m: The person's bones (22,), metres.
+        lengths_m: Bone lengths of the person (22,), metres.
         layout: Layout of the person's joints.
-        who: Who it is, for messages.
+        who: Name of the person, for messages.
     """
     directions = bone_directions(BODY22, standing(own_skeleton).rest_body22_m)
     asked = target.of(layout)
     pairs, wanted = np.array(list(asked)), np.array(list(asked.values()))
-    chains = np.zeros((BODY22.num_joints, BODY22.num_joints))  # of joint i, 1 for the bones between it and the root
+    chains = np.zeros((BODY22.num_joints, BODY22.num_joints))  # row: 1 for the bones between the root and a joint
     for joint in range(BODY22.num_joints):
         chains[joint, BODY22.path(joint)[1:]] = 1.0
     between = chains[pairs[:, 1]] - chains[pairs[:, 0]]
@@ -190,7 +190,7 @@ def _of_arrays(name: str, arrays: dict[str, npt.NDArray[Any]]) -> TargetBody:
 
 
 def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layout: str) -> TargetBody:
-    """Return the body whose joints lie at positions (frame, joint, 3), metres."""
+    """Return the body with joints at positions (frame, joint, 3), metres; medians over the frames."""
     missing = [joint for joint in NEEDED if joint not in joint_names]
     if missing:
         raise FormatError(f"joint '{missing[0]}' is missing; needed are {', '.join(NEEDED)}")

@@ -1,4 +1,4 @@
-"""What every text reader needs: lines, tables, JSON and numbers that fail with one clear sentence."""
+"""Shared parts of text readers: lines, tables, JSON and numbers, with clear errors."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from pasdedeux.formats.foreign import refuse_foreign
 from pasdedeux.plain_text import counted
 
 MAX_MAGNITUDE = 1e7
-"""Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
+"""Largest absolute value of a length, angle or pixel in a file; a file with larger values is damaged."""
 MAX_COUNT = 1_000_000_000
-"""Greatest frame number, person number or count that a file may hold."""
+"""Largest frame number, person number or count in a file."""
 
 _MISSING = frozenset({"", "nan", "null", "none", "na", "n/a"})
-"""How tables write that there is no number, in lower case."""
+"""Cells of tables that mean that there is no number, in lower case."""
 
 _FEW_FRAMES, _FEW_SHARE = 10, 0.05
-"""Frames, or share of them, by which a file may be shorter than it states."""
+"""Number of frames, or share of them, by which a file may be shorter than stated."""
 _MAX_TOKEN_SHOWN = 40
 _LOOKED_AT_LETTERS = 40
 _PADDING = "\0\x1a"
-"""What old programs put after the end of a text."""
+"""Characters that old programs append to a text."""
 _DELIMITERS = ",;\t"
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
@@ -37,9 +37,9 @@ N = TypeVar("N", int, float)
 
 
 class Lines:
-    r"""The lines of a file, read once from first to last; in a `with`, a FormatError gets the number of the last one.
+    r"""The lines of a file, read once from first to last; in a `with`, a FormatError gets the current line number.
 
-    Lines are counted as an editor does, with Windows, Unix and old Mac line ends.
+    Lines are counted as in an editor, with Windows, Unix and old Mac line ends.
 
     >>> with Lines(b"a\rb", "file") as lines:
     ...     for line in lines:
@@ -63,47 +63,47 @@ class Lines:
             raise FormatError(f"line {self.number}: {error}") from None
 
     def __iter__(self) -> Iterator[str]:
-        """Yield the lines that are left."""
+        """Yield the remaining lines."""
         while self.number < len(self._texts):
             self.number += 1
             yield self._texts[self.number - 1]
 
     def words(self, comment: str | None = None) -> Iterator[list[str]]:
-        """Yield the words of the lines that are left and have any, up to where a comment begins."""
+        """Yield the words of each remaining line that has any, without comments."""
         for text in self:
             words = (text.partition(comment)[0] if comment else text).split()
             if words:
                 yield words
 
     def put_back(self, text: str) -> None:
-        """Put the last line back, to be read again as text."""
+        """Put the last line back as this text, to be read again."""
         self.number -= 1
         self._texts[self.number] = text
 
     def skip_to(self, beginning: re.Pattern[str]) -> None:
-        """Skip the lines before the next one that matches; none where none does."""
+        """Skip the lines before the next one that matches; none if no line matches."""
         rest = range(self.number, len(self._texts))
         self.number = next((number for number in rest if beginning.match(self._texts[number])), self.number)
 
     def up_to(self, ending: re.Pattern[str]) -> str:
-        """Return the lines that are left up to the first that matches, or all; they stay to be read."""
+        """Return the remaining lines up to the first that matches, or all, without consuming them."""
         rest = range(self.number, len(self._texts))
         stop = next((number + 1 for number in rest if ending.match(self._texts[number])), len(self._texts))
         return "\n".join(self._texts[self.number : stop])
 
     def notes(self) -> Iterator[tuple[str, str]]:
-        """Yield key and value of the next lines that are comments, `# key: value`, or blank; both may be empty."""
+        """Yield key and value of the next lines that are comments (`# key: value`) or blank; both may be empty."""
         while self.number < len(self._texts) and self._texts[self.number].strip()[:1] in ("", "#"):
             self.number += 1
             key, _, value = self._texts[self.number - 1].strip()[1:].partition(":")
             yield key.strip().lower(), value.strip()
 
     def table(self, needed: Collection[str], known: Collection[str] = ()) -> tuple[list[str], Iterator[dict[str, str]]]:
-        """Return the columns of the CSV that the lines left are, in lower case, and its rows; blank ones are skipped.
+        """Read the remaining lines as CSV: column names, in lower case, and rows; blank lines are skipped.
 
         Args:
-            needed: Columns that must be there.
-            known: Columns that may be there, with those; any where empty.
+            needed: Required columns.
+            known: Other allowed columns; any if empty.
         """
         for _ in self.notes():
             pass
@@ -121,12 +121,12 @@ class Lines:
         return columns, (dict(zip(columns, _fitting(row, columns), strict=True)) for row in rows)
 
     def numbers(self, columns: Sequence[str], comment: tuple[str, ...] = ()) -> npt.NDArray[np.float64]:
-        """Return the numbers (row, column) that the lines left are; blank ones and comments are skipped.
+        """Read the remaining lines as numbers (row, column); blank lines and comments are skipped.
 
-        A row may stand on several lines, and several whole rows on one.
+        A row may be on several lines, and several whole rows on one line.
 
         Raises:
-            FormatError: There is no row, a row has another number of values, or one that is no finite number.
+            FormatError: There is no row, or a row has another number of values or a value that is not a finite number.
         """
         start, rows = self.number, [text for text in self if text.strip() and not text.lstrip().startswith(comment)]
         try:
@@ -159,7 +159,7 @@ class Lines:
         return np.array(numbers).reshape(-1, len(columns))
 
     def rows(self) -> Iterator[list[str]]:
-        """Yield the cells of the lines left that are not blank."""
+        """Yield the cells of the remaining lines that are not blank."""
         last = self.number
         delimiter = find_delimiter(next((text for text in self._texts[last:] if text.strip()), ""))
         try:
@@ -170,12 +170,12 @@ class Lines:
                 if any(row):
                     yield row
         except csv.Error as error:
-            self.number = last + 1  # where the row begins; a quote that is not closed runs to the end
+            self.number = last + 1  # the first line of the row: an open quote runs to the end of the file
             raise FormatError(f"this is not valid CSV: {error}") from None
 
 
 def find_delimiter(header: str) -> str:
-    """Return what separates the columns of a table by its first line: a comma, a semicolon or a tab."""
+    """Return the delimiter of a table from its first line: a comma, a semicolon or a tab."""
     return max(_DELIMITERS, key=header.count)
 
 
@@ -205,7 +205,7 @@ def decode(data: bytes | str, what: str) -> str:
 
 
 def wide_encoding(data: bytes) -> str:
-    """Return the UTF-16 encoding that a text begins with, empty of any other."""
+    """Return the UTF-16 encoding of a text, judged by its beginning; empty for any other."""
     start = data[: 2 * _LOOKED_AT_LETTERS]
     if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
@@ -216,13 +216,13 @@ def wide_encoding(data: bytes) -> str:
 
 
 def shorten(token: object) -> str:
-    """Return a token for a message, at most 40 characters of it."""
+    """Return a token for a message, cut to 40 characters."""
     text = str(token)
     return text if len(text) <= _MAX_TOKEN_SHOWN else text[:_MAX_TOKEN_SHOWN] + "..."
 
 
 def parse_number(token: str, what: str, low: float = -MAX_MAGNITUDE, high: float = MAX_MAGNITUDE) -> float:
-    """Return the finite number that a token spells."""
+    """Parse a finite number within a range."""
     try:
         if "_" in token or not token.isascii():
             raise ValueError
@@ -235,12 +235,12 @@ def parse_number(token: str, what: str, low: float = -MAX_MAGNITUDE, high: float
 
 
 def parse_cell(token: str, what: str) -> float:
-    """Return the number of a cell of a table; NaN where it says that there is none."""
+    """Parse the number in a cell of a table; NaN if the cell means that there is none."""
     return math.nan if token.lower() in _MISSING else parse_number(token, what)
 
 
 def floats_of(words: Iterable[str]) -> list[float]:
-    """Return the numbers that words spell, also infinite ones and NaN; none where a word is no number."""
+    """Parse words as numbers, also infinity and NaN; empty if a word is not a number."""
     try:
         return list(map(float, words))
     except ValueError:
@@ -248,7 +248,7 @@ def floats_of(words: Iterable[str]) -> list[float]:
 
 
 def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) -> int:
-    """Return the whole number that a token spells."""
+    """Parse a whole number within a range."""
     digits = token.removeprefix("-")
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
         raise FormatError(f"{what}: '{shorten(token)}' is not a whole number")
@@ -256,10 +256,10 @@ def parse_integer(token: str, what: str, low: int = 0, high: int = MAX_COUNT) ->
 
 
 def compare_count(stated: int, held: int) -> str:
-    """Return what to say of a file that states another number of frames than the whole ones it holds.
+    """Return a note if the stated number of frames differs from the number of whole frames in the file, else "".
 
     Raises:
-        FormatError: It holds fewer by more than a recorder miscounts: it was cut off.
+        FormatError: Too many frames are missing: the file was cut off.
     """
     if held < stated - max(_FEW_FRAMES, _FEW_SHARE * stated):
         raise FormatError(f"the file ends after {held} of {stated} frames: it was cut off")
@@ -267,21 +267,21 @@ def compare_count(stated: int, held: int) -> str:
 
 
 def check_range(value: N, what: str, low: float, high: float) -> N:
-    """Return a value after checking that it is in a range."""
+    """Check that a value is in a range, and return it."""
     if not low <= value <= high:
         raise FormatError(f"{what} is {value:.10g}; allowed: {low:.10g} to {high:.10g}")
     return value
 
 
 def parse_numbers(tokens: Sequence[str], what: str, count: int) -> list[float]:
-    """Return a given number of finite numbers."""
+    """Parse exactly `count` finite numbers."""
     if len(tokens) != count:
         raise FormatError(f"{what} needs {counted(count, 'number')}, found {len(tokens)}")
     return [parse_number(token, what) for token in tokens]
 
 
 def parse_triples(numbers: list[Any], what: str) -> npt.NDArray[np.float64]:
-    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN and null mean "not detected"."""
+    """Return the triples (K, 3) of a flat JSON list of keypoints; NaN and null mean "not detected"."""
     numbers = [math.nan if n is None else n for n in numbers]
     if not all(isinstance(n, int | float) and not isinstance(n, bool) and not abs(n) > MAX_MAGNITUDE for n in numbers):
         raise FormatError(f"{what} holds a value that is no number or absurdly large")
@@ -289,7 +289,7 @@ def parse_triples(numbers: list[Any], what: str) -> npt.NDArray[np.float64]:
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
-    """Return the value of a JSON text; of what JSON does not know NaN may be there, as some detectors write it."""
+    """Parse JSON; NaN is allowed, because some detectors write it, but not infinity."""
     text = decode(data, what)
 
     def refuse(constant: str) -> float:

@@ -1,4 +1,4 @@
-"""TRC: joints of people as markers, the tables of OpenSim, written and read."""
+"""Reading and writing TRC, OpenSim's tables of markers, with joints of people as markers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pasdedeux.formats.text import Lines, compare_count, parse_integer, parse_nu
 from pasdedeux.plain_text import counted
 
 _NUM_HEADER = 5
-"""Lines before the frames: the type, keys, values, labels, axes."""
+"""Number of lines before the frames: type, keys, values, labels, axes."""
 
 
 def write_trc(positions_m: Array, labels: Sequence[str], *, rate_hz: float, name: str) -> str:
@@ -26,7 +26,7 @@ def write_trc(positions_m: Array, labels: Sequence[str], *, rate_hz: float, name
         positions_m: Positions (frame, point, 3), metres.
         labels: Names of the points.
         rate_hz: Frames per second.
-        name: Name of the file, which stands in it.
+        name: Name of the file, which is written into it.
     """
     frames, rate = len(positions_m), f"{rate_hz:.9g}"
     lines = [
@@ -46,7 +46,7 @@ def read_points(data: bytes | str) -> LabelledPoints:
     """Read the markers of a TRC file; an empty cell is a gap.
 
     Raises:
-        FormatError: A header line is missing, or a line has another number of values or one that is no number.
+        FormatError: A header line is missing, or a line has another number of values or a value that is not a number.
     """
     with Lines(data, "TRC file") as lines:
         header = [text for text, _ in zip(lines, range(_NUM_HEADER), strict=False)]
@@ -84,4 +84,4 @@ TRC = MotionFormat(
     count_people=lambda data: read_points(data).num_people,
     has_rotations=False,
 )
-"""Markers that are joints: it states its rate and its unit, not which axis points up."""
+"""Joints as markers; the file states rate and unit, but not the up axis."""

@@ -1,4 +1,4 @@
-"""From a source's own motion to the working skeletons pair17, op14 and body22."""
+"""Conversion of source motions to the working skeletons pair17, op14 and body22."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts import Layout
 
 MIN_BONE_M = 1e-3
-"""A bone of a working skeleton shorter than this at rest means that the mapping put two joints on one place."""
+"""If a bone of a working skeleton is shorter at rest, the mapping puts two joints in one place."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def derive_working_poses(motion: Motion, layout: Layout) -> WorkingPoses:
 
 
 def check_layout(motion: Motion, layout: Layout) -> None:
-    """Refuse a layout that does not fit a motion: needs the rest pose only."""
+    """Refuse a layout that does not fit the rest pose of a motion."""
     extended = _with_points(motion, layout)
     source_rest = extended.rest_positions_m()
     for skeleton in (PAIR17, OP14, BODY22):
@@ -70,7 +70,7 @@ def check_layout(motion: Motion, layout: Layout) -> None:
 
 
 def _with_points(motion: Motion, layout: Layout) -> Motion:
-    """Return the motion with the layout's added points as further joints."""
+    """Return the motion with the added points of the layout as joints."""
     skeleton, offsets_m = motion.skeleton, motion.rest_offsets_m
     with named(f"layout '{layout.name}'"):
         carriers = skeleton.indices(point.joint for point in layout.points)

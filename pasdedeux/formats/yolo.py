@@ -1,7 +1,7 @@
-"""Reading what YOLO writes with `save_txt`, and its labels: a text file for each image, a line for each person.
+"""Reading YOLO's labels and its output with `save_txt`: a text file for each image, a line for each person.
 
-A line is the class, the box (four shares of the image), and for each keypoint x and y, perhaps with a confidence or
-COCO's visibility; after that perhaps the confidence of the person, and a number of a track.
+A line has the class, the box (four shares of the image), and for each keypoint x, y and optionally a confidence or
+COCO's visibility; then optionally the confidence of the person and the number of a track.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT, USUAL_LAYOUTS
 
 _BOX = 5
-"""Values of a line in front of its keypoints: the class and the box."""
+"""Number of values before the keypoints: class and box."""
 _MAX_SHARE = 2.0
-"""Greatest coordinate: people leave the image a little."""
+"""Largest coordinate: people may leave the image a little."""
 
 
 def read_people(data: bytes) -> list[Detection]:
-    """Read the people of one image, whose coordinates are shares of it."""
+    """Read the people of one image; coordinates are shares of the image."""
     detections = []
     with Lines(data, "file of YOLO") as lines:
         for words in lines.words():
@@ -37,7 +37,7 @@ def read_people(data: bytes) -> list[Detection]:
 
 
 def _form(values: np.ndarray) -> tuple[int, int]:
-    """Return the number of keypoints of a line and the values of each: COCO's if it may be, else a usual layout's."""
+    """Return the number of keypoints in a line and of values for each: if possible COCO's, else a usual layout's."""
     forms = [
         (
             layouts[0].name != "coco17",
@@ -62,7 +62,7 @@ def _form(values: np.ndarray) -> tuple[int, int]:
 
 
 def _is_yolo(start: FileStart) -> bool:
-    """Tell whether the first line is a whole number and shares of an image, more than a box."""
+    """Return whether the first line is a whole number and shares of an image, more than a box."""
     words = start.first_row.split()
     values = np.array(floats_of(words))
     if len(values) < _BOX + 2 * min(LAYOUTS_OF_COUNT) or not words[0].isdigit():

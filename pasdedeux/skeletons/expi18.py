@@ -18,9 +18,9 @@ EXPI18 = Skeleton.of_tree(
     "expi18",
     {"back": "", "head": "back", "left_head": "head", "right_head": "head"} | {name: _PARENTS[name] for name in _ENDS},
 )
-"""As ExPI (Guo et al. 2022): three places of the head, the back, and of each side shoulder, elbow, wrist, hip, knee,
-heel and toes; no spine, neck, pelvis or collars.  Ours are the tree, which the data set leaves open, the order, its
-root first, and names: a heel is an ankle, as everywhere here."""
+"""Joints of ExPI (Guo et al. 2022): three points of the head, the back, and on each side shoulder, elbow, wrist, hip,
+knee, heel and toes; no spine, neck, pelvis or collars.  The tree, which the data set does not define, the order and the
+names are ours: a heel is called ankle, as everywhere here."""
 
 EXPI18_OF_BODY22 = JointMap(
     "expi18 of body22",
@@ -34,11 +34,11 @@ EXPI18_OF_BODY22 = JointMap(
         **{f"{side}_ankle": {f"{side}_ankle": 1.25, f"{side}_toe": -0.25} for side in ("left", "right")},
     },
 )
-"""Each joint as a mix of those of `body22`.  The head's sides are along the shoulders and turn with these, its front is
-its top, and heels lie behind the ankles: `body22` does not know where faces look."""
+"""Each joint as a weighted mean of joints of `body22`, which has no face: the sides of the head are along the
+shoulders, its front is its top, and heels are behind the ankles."""
 
 MAPPED_SKELETONS: dict[str, JointMap] = {joints.target.name: joints for joints in (EXPI18_OF_BODY22,)}
-"""What follows from `body22`, by the name of its skeleton."""
+"""Mappings from `body22` by the name of their target skeleton."""
 
 MODEL_SKELETONS: dict[str, Skeleton] = {skeleton.name: skeleton for skeleton in (BODY22, EXPI18)}
-"""Skeletons that models can be of; no two have as many joints, so arrays tell which they are of."""
+"""Skeletons of models; their numbers of joints differ, so the shape of an array identifies the skeleton."""

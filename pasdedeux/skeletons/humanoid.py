@@ -1,4 +1,4 @@
-"""The body as characters have it: `body22` standing in a T-pose, and the names of its joints in other people's rigs."""
+"""The body of characters: `body22` standing in a T-pose, with the joint names of common rigs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _ANKLE_HEIGHT, _KNEE_HEIGHT, _HIP_HEIGHT, _SHOULDER_HEIGHT = 0.039, 0.285, 0.530
 _UPPER_ARM, _FOREARM, _HAND = 0.186, 0.146, 0.108
 """Drillis and Contini 1966, as printed in Winter 2009, Biomechanics and Motor Control of Human Movement, figure 4.1."""
 _TOE_HEIGHT, _FOOT_FORWARD, _TOES = 0.014, 0.092, 0.030
-"""Ball of the foot: its height over the floor, how far it lies before the ankle, and the toes before it (foot length
-there: 0.152)."""
+"""Ball of the foot: its height over the floor, its distance before the ankle, and the length of the toes (the foot
+length in that figure is 0.152)."""
 _HIP_HALF_WIDTH, _SHOULDER_HALF_WIDTH = 0.054, 0.108
 """Joint centres; the 0.0955 and 0.129 of the same figure are the outer breadths of pelvis and shoulders."""
 
@@ -56,13 +56,13 @@ END_SITES: Mapping[str, Point] = {
     "left_toe": (0.0, 0.0, _TOES / _FOOT),
     "right_toe": (0.0, 0.0, _TOES / _FOOT),
 }
-"""Where the last bone of a chain ends (top of the head, tips of hands and toes), by the joint of `body22` in which it
-starts: left, up and forward at rest, lengths of the bone that ends in the joint."""
+"""End of the last bone of a chain (top of the head, tips of hands and toes), by the joint of `body22` where it starts:
+left, up and forward at rest, in lengths of the bone that ends in the joint."""
 
 
 _MIXAMO = LAYOUTS["mixamo"].joint_map(BODY22.name)
 HUMANOID_NAMES: Mapping[str, str] = {joint: _MIXAMO.carrier(joint) for joint in BODY22.joint_names}
-"""Names of the joints of `body22` in files written here, and in Mixamo's characters after `mixamorig:`."""
+"""Names of the joints of `body22` in written files; Mixamo's characters have them after `mixamorig:`."""
 
 
 HUMANOID = Skeleton(
@@ -73,4 +73,4 @@ HUMANOID = Skeleton(
     ),
     (*BODY22.parents, *BODY22.indices(END_SITES)),
 )
-"""`body22` in its own order under the names that files have, then the end sites (`<joint>_end`)."""
+"""The joints of `body22` in order under these names, then the end sites (`<joint>_end`)."""

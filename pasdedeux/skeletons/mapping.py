@@ -1,4 +1,4 @@
-"""Joint mappings: how the joints of one skeleton are derived from the joints of another."""
+"""Joint mappings, which derive the joints of one skeleton from those of another."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class JointMap:
 
     Args:
         name: Name of the mapping, used in messages.
-        target: Skeleton that is derived.
+        target: Target skeleton.
         table: For each target joint the source joints and their weights, or one source joint's name.
 
     Raises:
@@ -32,7 +32,7 @@ class JointMap:
     table: Mapping[str, str | Weights]
 
     def __post_init__(self) -> None:
-        """Check that every target joint is there once and its weights sum to 1."""
+        """Check that all target joints are there and their weights sum to 1."""
         missing = [joint for joint in self.target.joint_names if joint not in self.table]
         if missing:
             raise InputError(f"mapping '{self.name}': no source for {', '.join(missing)} of '{self.target.name}'")
@@ -48,7 +48,7 @@ class JointMap:
         return {entry: 1.0} if isinstance(entry, str) else entry
 
     def carrier(self, joint: str) -> str:
-        """Return the source joint with the greatest weight: the one whose rotation carries the target joint."""
+        """Return the source joint with the largest weight, whose rotation the target joint has."""
         weights = self.weights(joint)
         return max(weights, key=lambda name: weights[name])
 
@@ -73,7 +73,7 @@ class JointMap:
 def weighted_points(weight: npt.NDArray[np.float64], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return weighted sums (*batch, target, d) of points (*batch, source, d), by weights (target, source).
 
-    Most weights are zero, so that this takes an eighth of the time of a product with all of them.
+    Most weights are zero; skipping them takes an eighth of the time of a matrix product.
     """
     summed = np.zeros((*points.shape[:-2], len(weight), points.shape[-1]))
     for target, source in np.argwhere(weight):

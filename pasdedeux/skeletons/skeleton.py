@@ -61,7 +61,7 @@ class Skeleton:
 
     @classmethod
     def of_tree(cls, name: str, tree: Mapping[str, str]) -> Self:
-        """Return the skeleton of joints in order, each with its parent; the root's is empty."""
+        """Return the skeleton with these joints, each with its parent (empty for the root)."""
         joint_names = tuple(tree)
         return cls(name, joint_names, tuple(joint_names.index(parent) if parent else -1 for parent in tree.values()))
 
@@ -125,12 +125,12 @@ class Skeleton:
 
     @cached_property
     def arms(self) -> tuple[list[int], list[int]]:
-        """Shoulder, elbow and wrist of the left arm and of the right one; an InputError where there are none."""
+        """Shoulder, elbow and wrist of the left and the right arm; an InputError if there are none."""
         return self._both_sides(ARM)
 
     @cached_property
     def legs(self) -> tuple[list[int], list[int]]:
-        """Hip, knee and ankle of the left leg and of the right one; an InputError where there are none."""
+        """Hip, knee and ankle of the left and the right leg; an InputError if there are none."""
         return self._both_sides(LEG)
 
     def _both_sides(self, joints: tuple[str, ...]) -> tuple[list[int], list[int]]:
@@ -144,7 +144,7 @@ class Skeleton:
 
     @cached_property
     def mirror(self) -> tuple[int, ...]:
-        """Index of each joint's left/right counterpart (`left_` against `right_`); itself where there is none."""
+        """Index of each joint's left/right counterpart (`left_` and `right_`); its own index if there is none."""
         names = self.joint_names
         split = (name.partition("_") for name in names)
         others = [f"{_OTHER_SIDE.get(side, side)}_{joint}" for side, _, joint in split]

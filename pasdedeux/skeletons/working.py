@@ -1,4 +1,4 @@
-"""The three working skeletons that every source is mapped to."""
+"""The three working skeletons, to which all sources are mapped."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def _chain(*joints: str) -> dict[str, str]:
 
 
 def limb(start: str, side: str, *joints: str) -> dict[str, str]:
-    """Return the joints of one side's limb, each with its parent; the first hangs from `start`."""
+    """Return the joints of a limb on one side, each with its parent; that of the first is `start`."""
     return _chain(start, *(f"{side}_{joint}" for joint in joints))
 
 
@@ -29,7 +29,7 @@ PAIR17 = Skeleton.of_tree(
 """The skeleton of lifting by sampling: 1 root and 16 joints (Yin et al. 2018, section 3)."""
 
 COUNTED17 = [at for at, name in enumerate(PAIR17.joint_names) if name not in ("pelvis", "spine", "chest")]
-"""Joints of pair17 that count as seen; the others are means of these wherever a detector saw them."""
+"""Joints of pair17 that count as seen; the others are means of these in detections."""
 
 OP14 = Skeleton.of_tree(
     "op14",

@@ -1,4 +1,4 @@
-"""Layouts: how the joints of known kinds of motion files and the keypoints of known detectors become ours."""
+"""Layouts: mappings from joints of motion files and keypoints of detectors to the working skeletons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names of joints in files, whatever their spelling, and which keypoints of a layout they are."""
+"""Recognition of joint names in any spelling, and the keypoints of a layout that they mean."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _EMPTY_WORDS = frozenset({"", "landmark", "joint", "keypoint", "kpt", "kp", "bod
 
 @lru_cache(maxsize=4096)
 def plain_name(name: str) -> tuple[str, str]:
-    """Return side (`left`, `right` or none) and part of a joint's name, without case, blanks and signs.
+    """Return side (`left`, `right` or empty) and part of a joint's name, in lower case without separators.
 
     >>> plain_name("LShoulder"), plain_name("shoulder.L"), plain_name("R_Sho"), plain_name("Mid Hip")
     (('left', 'shoulder'), ('left', 'shoulder'), ('right', 'sho'), ('', 'midhip'))
@@ -66,7 +66,7 @@ def plain_name(name: str) -> tuple[str, str]:
 
 @lru_cache(maxsize=1024)
 def _accepted(keypoint: str) -> list[tuple[str, str]]:
-    """Return side and part of the names that a keypoint may have, best first."""
+    """Return possible names of a keypoint as side and part, best first."""
     side, part = keypoint.partition("_")[::2]
     if keypoint in ("mouth_left", "mouth_right"):
         side, part = part, side
@@ -76,7 +76,7 @@ def _accepted(keypoint: str) -> list[tuple[str, str]]:
 
 
 def is_joint(name: str) -> bool:
-    """Tell whether a name is that of any keypoint.
+    """Return whether a name is the name of a keypoint.
 
     >>> is_joint("l-shoulder"), is_joint("hat")
     (True, False)
@@ -88,15 +88,15 @@ def is_joint(name: str) -> bool:
 def find_keypoints(
     keypoints: Sequence[str], names: Sequence[str], also: Mapping[str, Sequence[str]]
 ) -> list[int | None]:
-    """Return which of the names each keypoint has, None where none is its.
+    """Return for each keypoint the index of its name; None if it has none.
 
-    Names in the order of the layout come first, then those that are spelled as the keypoints, then others by their
-    meaning, and at last by what the data set of the layout calls its keypoints.
+    If all names are in the order of the layout, this order is kept.  Else identical spellings come first, then names of
+    the same meaning, then names in the data set of the layout.
 
     Args:
-        keypoints: Keypoints of a layout in its order.
+        keypoints: Keypoints of a layout in order.
         names: Names of joints, in any order.
-        also: Other names of keypoints.
+        also: Other names of keypoints, in the data set of the layout.
     """
     plain = [plain_name(name) for name in names]
     others = {keypoint: [plain_name(word) for word in words] for keypoint, words in also.items()}

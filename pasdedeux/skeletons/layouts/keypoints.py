@@ -1,4 +1,4 @@
-"""Keypoint layouts of 2D detectors and annotations, and how they become pair17, op14 and the points of feet."""
+"""Keypoint layouts of 2D detectors and annotations, and their mappings to pair17, op14 and points of feet."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from pasdedeux.skeletons.skeleton import ARM, LEG, by_side
 from pasdedeux.skeletons.working import OP14, PAIR17, WORKING_SKELETONS
 
 Recipe = tuple[Weights, ...]
-"""Weighted means of keypoints, best first; the first whose keypoints are all seen is taken."""
+"""Weighted means of keypoints, best first; the first one whose keypoints are all seen is taken."""
 
 _LIMBS = by_side("left", *ARM, *LEG)
 
 FEET4 = by_side("left", "heel", "toe")
-"""What `feet4` gives of feet: the back of the heel and body22's toe, the ball of the foot."""
+"""Points of `feet4`: the back of the heel, and body22's toe, the ball of the foot."""
 _BALL_OF_FOOT = 0.73
-"""Position of the ball between the heel and the tip of the big toe: a usual proportion, not measured here."""
+"""Position of the ball between the heel and the tip of the big toe: a common proportion, not measured here."""
 _EAR_ABOVE_CHIN, _EAR_ABOVE_NECK = 0.4, 0.55
-"""Height of ears and nose between the upper neck, or the base of the neck, and the crown: usual proportions, too."""
+"""Height of ears and nose between the upper neck, or the base of the neck, and the crown: common proportions."""
 
 
 _SIDED = (
@@ -51,7 +51,7 @@ _CHAINS = (
     ("neck", "nose"),
     ("mouth_left", "mouth_right"),
 )
-"""Keypoints that a drawing connects, one after another; those that a layout lacks are passed over."""
+"""Chains of keypoints that are connected in drawings; keypoints that a layout lacks are skipped."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,13 @@ class Keypoints:
 
 @dataclass(frozen=True)
 class KeypointLayout:
-    """Names of a detector's keypoints and what they stand for.
+    """Names of a detector's keypoints and their meaning.
 
     Args:
         name: Name of the layout.
         keypoint_names: Keypoints in the detector's order.
-        recipes: For pair17, op14 and feet4, for each joint its weighted means of keypoints, best first; none for a
-            joint that the layout does not have.
-        also: Other names that files in this order have for keypoints.
+        recipes: For pair17, op14 and feet4, the recipe of each joint; joints that the layout lacks have none.
+        also: Other names of keypoints in files with this order.
     """
 
     name: str
@@ -85,7 +84,7 @@ class KeypointLayout:
         return len(self.keypoint_names)
 
     def links(self, *, first: int = 0) -> list[list[int]]:
-        """Return pairs of neighbouring keypoints to draw lines between, by their numbers, counted from `first`.
+        """Return pairs of keypoints to connect in drawings, by their numbers, counted from `first`.
 
         >>> KEYPOINT_LAYOUTS["op14"].links()[:3]
         [[10, 9], [9, 8], [8, 1]]
@@ -96,22 +95,22 @@ class KeypointLayout:
         return [[place[name] for name in pair] for pair in dict.fromkeys(ends)]
 
     def find_keypoints(self, names: Sequence[str]) -> list[int | None]:
-        """Return for each keypoint which of the names is its, None where none is."""
+        """Return for each keypoint the index of its name; None if it has none."""
         return find_keypoints(self.keypoint_names, names, self.also)
 
     def num_named(self, names: Sequence[str], *, is_strict: bool = False) -> int:
-        """Return how many keypoints have a name, where strict without the words of the layout's own data set."""
+        """Return how many keypoints have a name; if strict, names in the layout's data set do not count."""
         keypoints = find_keypoints(self.keypoint_names, names, {} if is_strict else self.also)
         return sum(place is not None for place in keypoints)
 
     def derive(self, skeleton_name: str, positions: Array, confidence: Array) -> Keypoints:
         """Derive the joints of pair17 or op14, or the points of `FEET4`, from keypoints.
 
-        A joint is missing where a keypoint of each of its means is missing; its confidence is the minimum of theirs.
+        A joint is missing if each of its means lacks a keypoint.  Its confidence is the minimum of those of the mean.
 
         Args:
             skeleton_name: pair17, op14 or feet4.
-            positions: (*batch, K, 2); missing where not finite or where the confidence is 0.
+            positions: (*batch, K, 2); missing if not finite or if the confidence is 0.
             confidence: (*batch, K).
         """
         if positions.shape[-2] != self.num_keypoints:
@@ -133,7 +132,7 @@ class KeypointLayout:
         return Keypoints(positions=result, confidence=result_confidence)
 
     def derive_status(self, skeleton_name: str, status: Integers) -> Integers:
-        """Return the least status (*batch, joint) of the keypoints (*batch, K) that each joint is a mean of."""
+        """Return for each joint the lowest status (*batch, joint) of the keypoints (*batch, K) of its best mean."""
         joint_names = WORKING_SKELETONS[skeleton_name].joint_names
         result = np.zeros((*status.shape[:-1], len(joint_names)), dtype=np.int64)
         for row, joint in enumerate(joint_names):
@@ -147,14 +146,14 @@ _MID_HIP = {"left_hip": 0.5, "right_hip": 0.5}
 
 
 def _own(joints: Iterable[str]) -> dict[str, Recipe]:
-    """Return the recipes of joints that are keypoints of the same name."""
+    """Return recipes for joints that are keypoints of the same name."""
     return {joint: ({joint: 1.0},) for joint in joints}
 
 
 def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
-    """Return a layout with limbs, something of the head, and perhaps neck, middle of the hips and feet."""
+    """Return the layout of a table: limbs, points of the head, optionally neck, middle of the hips, and feet."""
     names = tuple(told["keypoints"].split())
-    # The middle of both hips is what the 3D layouts call pelvis; a keypoint of that name serves when a hip is hidden.
+    # In 3D layouts the pelvis is the middle of the hips; the keypoint mid_hip replaces it if a hip is hidden.
     pelvis: Recipe = (_MID_HIP, {"mid_hip": 1.0}) if "mid_hip" in names else (_MID_HIP,)
     neck: Recipe = ({"neck": 1.0}, _MID_SHOULDER) if "neck" in names else (_MID_SHOULDER,)
 
@@ -188,7 +187,7 @@ def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
 _PAIR17_2D = KeypointLayout(
     "pair17",
     PAIR17.joint_names,
-    # The nose is not among the joints of pair17; its head is the nearest there is.
+    # pair17 has no nose; its head is the nearest joint.
     {PAIR17.name: _own(PAIR17.joint_names), OP14.name: _own(OP14.joint_names), "feet4": {}},
 )
 
@@ -212,7 +211,7 @@ KEYPOINT_LAYOUTS: dict[str, KeypointLayout] = {
     **{name: _layout(name, told) for name, told in _TOLD.items()},
     **{layout.name: layout for layout in (_PAIR17_2D, _OP14_2D)},
 }
-"""Every layout of 2D keypoints by its name: a new one is a table of `keypoints.toml`."""
+"""All layouts of 2D keypoints by name; add one as a table of `keypoints.toml`."""
 
 
 def _by_count() -> dict[int, tuple[KeypointLayout, ...]]:
@@ -225,15 +224,15 @@ def _by_count() -> dict[int, tuple[KeypointLayout, ...]]:
 
 
 LAYOUTS_OF_COUNT: dict[int, tuple[KeypointLayout, ...]] = _by_count()
-"""The layouts that detectors may mean by a number of keypoints; of more keypoints than they have, their first ones."""
+"""Possible layouts of unnamed keypoints by their number; some layouts are the first of more keypoints."""
 USUAL_LAYOUTS = frozenset({"coco17", "coco18", "coco23", "body25", "halpe26", "mediapipe33"})
-"""Layouts that a number of keypoints means where nothing speaks against it."""
+"""Layouts that are assumed for a number of keypoints if nothing contradicts."""
 
 
 def layout_of_names(names: Sequence[str]) -> KeypointLayout:
-    """Return the layout in whose order the names of joints are, else that which has most of them.
+    """Return the layout that has names of joints in this order, else the one that has most of them.
 
-    Of several a usual one, and the smallest, is taken; a keypoint means the same in all layouts.
+    Of several equal ones a usual one, then the smallest, is taken; a keypoint means the same in all layouts.
     """
     in_order = list(range(len(names)))
 

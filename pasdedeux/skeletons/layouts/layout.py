@@ -1,4 +1,4 @@
-"""A layout: how the joints of one kind of motion file become the working skeletons."""
+"""A layout: the mapping from the joints of one kind of motion file to the working skeletons."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from pasdedeux.skeletons.working import WORKING_SKELETONS
 Entry = str | Mapping[str, float]
 """A source joint, or source joints with weights that sum to 1."""
 Table = Mapping[str, Entry]
-"""What each joint of a working skeleton is made of."""
+"""Entry of each joint of a working skeleton."""
 
 
 @dataclass(frozen=True)
 class AddedPoint:
-    """A point that the source has no joint for, carried rigidly by one of its joints.
+    """A point that is fixed to a joint of the source, where the source has no joint.
 
     Args:
-        name: Name by which the tables of the layout refer to it.
-        joint: Joint that carries it.
-        offset: Place in the frame of that joint, in lengths of the bone that ends in `unit_bone`.
-        unit_bone: Joint whose bone gives the unit, so that the point follows the size of the person.
+        name: Its name in the tables of the layout.
+        joint: The joint that carries it.
+        offset: Position in the frame of that joint, in lengths of the bone that ends in `unit_bone`.
+        unit_bone: Joint whose bone is the unit, so that the point scales with the person.
     """
 
     name: str
@@ -37,23 +37,23 @@ class AddedPoint:
 class Layout:
     """The joint names of one kind of motion file and their meaning.
 
-    What the working joints stand for is the same in every layout.  The `head` of body22 and pair17 is the point at ear
-    height on the line of the neck; the `head` of op14 is the nose, which is what 2D detectors report.  The `neck` of
-    op14 is the middle of the shoulders, as detectors are trained; that of pair17 lies between it and the neck's base.
-    The pelvis of pair17 is the middle of the hips; spine and chest lie near one and two thirds of the way to the neck.
-    body22 tables use points that keep their distance from their parent, so its bones keep their lengths.
+    The meaning of the working joints is the same in all layouts.  The `head` of body22 and pair17 is the point at ear
+    height on the line of the neck; the `head` of op14 is the nose, as reported by 2D detectors.  The `neck` of op14 is
+    the middle of the shoulders, as in training data of detectors; that of pair17 is between it and the neck's base.
+    The pelvis of pair17 is the middle of the hips; spine and chest are near one and two thirds of the way to the neck.
+    Tables of body22 use points of constant distance from their parent, so its bones keep their lengths.
 
     Args:
-        name: Name of the layout, as a study says it.
+        name: Name of the layout in a study.
         meaning: One line for people.
-        tables: For each working skeleton its table; none where that takes the joints of a file, see `fit_layout`.
+        tables: Table of each working skeleton; empty if that needs the joints of a file, see `fit_layout`.
         points: Points added to the source.
-        parts: What the layout calls the joints of body22, and `skull`, `spine`, `chest` and `nose`; `A|B` is A, or B
-            where there is no A.
-        keeps_axes: Points are in the frames of joints whatever the rest pose is; else in those of a person who stands
+        parts: Names in the layout of the joints of body22, and of `skull`, `spine`, `chest` and `nose`; `A|B` is A, or
+            B if there is no A.
+        keeps_axes: Whether points are in the frames of joints for any rest pose; else in those of a person who stands
             along Y and looks along Z at rest.
-        is_whole: A file needs every part of it.
-        derived: Joints of body22 that the file has no joint for, and that are placed by those that it has.
+        is_whole: Whether a file needs all parts.
+        derived: Joints of body22 that the file lacks and that are derived from others.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Layout:
 
 
 def working_tables(parts: Mapping[str, Entry]) -> dict[str, Table]:
-    """Return the tables of the working skeletons of all parts of a body: the joints of body22, spine, chest, nose."""
+    """Return the tables of the working skeletons from all parts of a body: joints of body22, spine, chest, nose."""
     shared = {joint: parts[joint] for joint in by_side("left", *ARM, *LEG)}
     shoulders, hips = (mixed((parts[joint], 0.5) for joint in by_side("left", part)) for part in ("shoulder", "hip"))
     neck = mixed([(parts["neck"], 0.4), (shoulders, 0.6)])

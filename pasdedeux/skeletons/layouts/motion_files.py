@@ -1,4 +1,4 @@
-"""Layouts of motion files, as `motion_files.toml` describes them: what programs and data sets call the joints."""
+"""Layouts of motion files from `motion_files.toml`, which has the joint names of programs and data sets."""
 
 from __future__ import annotations
 
@@ -58,4 +58,4 @@ def _on_side(entry: Entry, side: str) -> Entry:
 
 _TOLD = tomllib.loads(resources.files(__package__).joinpath("motion_files.toml").read_text(encoding="utf-8"))
 LAYOUTS: dict[str, Layout] = {name: _layout(name, told) for name, told in _TOLD.items()}
-"""Every layout of motion files by its name: a new one is a table of that file."""
+"""All layouts of motion files by name; add one as a table of that file."""

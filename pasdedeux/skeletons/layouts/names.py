@@ -1,4 +1,4 @@
-"""Names of joints without what programs add to them: namespace, prefix, case, separators, the form of the side."""
+"""Normal forms of joint names, without namespace, prefix, case and separators, and with one form of the side."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ _SIDE_WORDS = {"left": "left", "lft": "left", "right": "right", "rght": "right",
 _SIDE_WORDS |= {"左": "left", "右": "right"}
 _SIDE_LETTERS = {"l": "left", "r": "right"}
 _NOISE = {"jnt", "joint", "jt", "bone", "bn", "bind", "skel", "def", "org", "drv", "c"}
-"""Words that rigs put before or after names; `c` is the middle, beside `l` and `r`."""
+"""Words that rigs put before or after names; `c` means the middle."""
 _COMMON = 0.6
-"""Share of the names that a prefix or suffix has, so that it is one: the names of one side are fewer."""
+"""Minimum share of the names that have a prefix or suffix; the names of one side are fewer."""
 _PREFIX, _MANY = 4, 10
-"""Letters at least that all names begin with, so that they are a prefix; of more names than this one letter is."""
+"""Minimum length of a common prefix of all names; with more names than this, one letter is enough."""
 _NUMBERED = 0.9
-"""Share of the names that are numbered, so that the numbers are no part of them."""
+"""Minimum share of numbered names for the numbers to be left out."""
 
 Words = tuple[str, ...]
 
 
 def normal_names(joint_names: Sequence[str]) -> list[str]:
-    """Return the names as layouts compare them: lower case, a side as `left.` or `right.` in front.
+    """Return the names in the form in which layouts compare them: lower case, with `left.` or `right.` in front.
 
-    A namespace (`mixamorig12:`), a prefix or suffix that most names have (`Character1_`, `Bip01 `), the suffixes of
-    copies (`.001`, `#`), words such as `jnt`, separators and leading zeros are left out, each only where the names
-    stay different.  A single `l` or `r` is a side where its counterpart is among the names.
+    A namespace (`mixamorig12:`), a prefix or suffix of most names (`Character1_`, `Bip01 `), the suffixes of copies
+    (`.001`, `#`), words such as `jnt`, separators and leading zeros are removed, unless names would become equal.  A
+    single `l` or `r` is a side if its counterpart is among the names.
 
     >>> normal_names(["Bip01 Pelvis", "Bip01 L Thigh", "Bip01 R Thigh", "Bip01 Spine1"])
     ['pelvis', 'left.thigh', 'right.thigh', 'spine1']
@@ -38,7 +38,7 @@ def normal_names(joint_names: Sequence[str]) -> list[str]:
 
 @lru_cache(maxsize=256)
 def _normal_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the same; files of one kind, of which there may be thousands, have the same joints."""
+    """Return the same as tuples; cached, because thousands of files may have the same joints."""
     copies = [re.sub(r"(\.\d+|#\d*)+$", "", name) for name in joint_names]
     repeated = Counter(copies)
     kept = [copy if repeated[copy] == 1 else name for copy, name in zip(copies, joint_names, strict=True)]
@@ -57,12 +57,12 @@ def _normal_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def by_normal_name(joint_names: Sequence[str]) -> Mapping[str, str]:
-    """Return each joint by its normal name; of several with one normal name the first."""
+    """Return the joint of each normal name; the first if several have the same."""
     return dict(reversed(list(zip(normal_names(joint_names), joint_names, strict=True))))
 
 
 def with_sides_exchanged(joint_names: Sequence[str]) -> list[str]:
-    """Return the names with left in place of right and right in place of left; the others as they are.
+    """Exchange left and right in the names; other names stay.
 
     >>> with_sides_exchanged(["Hips", "LeftLeg", "RightLeg", "LeftLeg_end"])
     ['Hips', 'RightLeg', 'LeftLeg', 'LeftLeg_end']
@@ -81,7 +81,7 @@ def _words(name: str) -> Words:
 
 
 def _without_common(names: list[Words], at: int) -> list[Words]:
-    """Take the first (0) or last (-1) word away while most names have the same, or a number there."""
+    """Remove the first (0) or last (-1) word while most names have the same word or a number there."""
     while True:
         several = [name for name in names if len(name) > 1]
         ends = Counter("0" if name[at].isdigit() else name[at] for name in several)
@@ -98,7 +98,7 @@ def _without_common(names: list[Words], at: int) -> list[Words]:
 
 
 def _normal(words: Words, known: set[Words], *, keeps: bool = False) -> str:
-    """Return the name of these words; a name that would be empty keeps what is left out of others."""
+    """Return the normal name of these words; it keeps noise words if it would be empty, or if `keeps`."""
     side, rest = _side(words, known)
     if not keeps:
         rest = tuple(word for word in rest if word not in _NOISE) or rest
@@ -106,7 +106,7 @@ def _normal(words: Words, known: set[Words], *, keeps: bool = False) -> str:
 
 
 def _side(words: Words, known: set[Words]) -> tuple[str, Words]:
-    """Return the side that a name says, and its other words."""
+    """Return the side in a name, and its other words."""
     for at, word in enumerate(words):
         if word in _SIDE_WORDS and len(words) > 1:
             return _SIDE_WORDS[word], words[:at] + words[at + 1 :]
@@ -122,7 +122,7 @@ def _side(words: Words, known: set[Words]) -> tuple[str, Words]:
 
 
 def _letters(word: str) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield what is left of a word without a side at its start or end, the side, and what the other side may be."""
+    """Yield a word without a side at its start or end, the side, and possible words of the other side."""
     for marks in (_SIDE_WORDS, _SIDE_LETTERS):
         for mark, side in marks.items():
             others = [other for other, its_side in marks.items() if its_side != side]

@@ -1,4 +1,4 @@
-"""The layout of one file: the known one that its joints belong to, in the names of the file."""
+"""The layout of a file: the known one that its joints belong to, in the names of the file."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from pasdedeux.skeletons.layouts.names import SIDES, by_normal_name, normal_name
 from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton, by_side
 
 NEEDED = by_side("left", *ARM, *LEG)
-"""Parts that a file must have; it needs neck or head besides."""
+"""Required parts of a file; it also needs neck or head."""
 SEVERAL_PEOPLE = "its joints are those of several people; give each person a file, or a mapping"
 _LAST = list(LAYOUTS.values())[-1]
-"""The layout of words of several programs, for files that no other fits."""
+"""The layout with words of several programs, for files that fit no other."""
 
 
 def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
-    """Return the layout that a file's joints belong to, fitted to them; None when no known one fits.
+    """Return the known layout that a file's joints belong to, fitted to them; None if none fits.
 
     Args:
         skeleton: The joints of the file.
@@ -39,7 +39,7 @@ def find_layout(skeleton: Skeleton, rest_offsets: Array) -> Layout | None:
 
 @lru_cache(maxsize=256)
 def _fitting_name(skeleton: Skeleton) -> str | None:
-    """Return the name of that layout; files of one kind, of which there may be thousands, have the same joints."""
+    """Return the name of that layout; cached, because thousands of files may have the same joints."""
     joints = by_normal_name(skeleton.joint_names)
     if _are_several(skeleton):
         return None
@@ -51,12 +51,12 @@ def _fitting_name(skeleton: Skeleton) -> str | None:
     if not fitting:
         return None
     fitting = [layout for layout in fitting if layout is not _LAST] or fitting
-    # The one of which most parts are there, less those that are not.
+    # Present parts count for a layout, missing ones against it.
     return max(fitting, key=lambda layout: 2 * len(_in_file(layout, joints)) - len(layout.parts)).name
 
 
 def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
-    """Return the known layout of this name, fitted to a file's joints whatever namespace they have.
+    """Return the known layout of this name, fitted to a file's joints in any namespace.
 
     Raises:
         InputError: The layout is not known, or the file lacks joints that it needs.
@@ -72,17 +72,17 @@ def fit_layout(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
 def resolve_layout(
     name: str, skeleton: Skeleton, rest_offsets: Array, mappings: Mapping[str, Mapping[Any, Table]] | None = None
 ) -> Layout:
-    """Return the layout of this name for a file's joints; "auto" is told by these.
+    """Return the layout of this name for a file's joints; "auto" detects it.
 
     Args:
         name: A known layout, a mapping, or "auto".
         skeleton: The joints of the file.
         rest_offsets: Offset of each joint from its parent, (J, 3), any unit.
-        mappings: What changes known layouts, and further layouts: for each working skeleton entries of its table, and
+        mappings: Changes of known layouts, and further layouts: for each working skeleton entries of its table, and
             under `parts` the joints of the file for parts of a body, from which the tables follow.
 
     Raises:
-        InputError: No known layout fits, the name is neither known nor that of a mapping, or joints are missing.
+        InputError: No known layout fits, the name is neither a known layout nor a mapping, or joints are missing.
     """
     mappings = mappings or {}
     if _are_several(skeleton) and name not in mappings:
@@ -110,7 +110,7 @@ def resolve_layout(
 
 
 def _in_words_of(skeleton: Skeleton, layout_name: str, tables: Mapping[str, Table]) -> dict[str, Table]:
-    """Return tables in the names of a file; they may have those of the layout, without the file's namespace."""
+    """Convert names of the layout in tables to those of the file, which may have a namespace."""
     joints, normal = by_normal_name(skeleton.joint_names), NORMAL_NAMES.get(layout_name, {})
 
     def name_of(name: str) -> str:
@@ -126,7 +126,7 @@ def _in_words_of(skeleton: Skeleton, layout_name: str, tables: Mapping[str, Tabl
 
 
 def _are_several(skeleton: Skeleton) -> bool:
-    """Tell whether every limb that a known layout needs is there twice, under other namespaces."""
+    """Return whether all limbs that a known layout needs are there twice, in different namespaces."""
     counts = Counter(normal_names(skeleton.joint_names))
     twice = {name: name for name, count in counts.items() if count > 1}
     return len(twice) >= len(NEEDED) and any(
@@ -145,10 +145,7 @@ def _fits_none(joint_names: Sequence[str]) -> str:
 
 
 def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | None:
-    """Return the layout that these joint names come nearest to, and what they lack of it; None when none comes near.
-
-    Near is a layout of whose needed joints at least half are there.
-    """
+    """Return the nearest layout for these joint names, and its missing joints; None if over half are missing."""
     joints = by_normal_name(joint_names)
     lacking = {name: _lacking(layout, joints) for name, layout in LAYOUTS.items()}
     nearest = min(LAYOUTS.values(), key=lambda layout: len(lacking[layout.name]))
@@ -156,7 +153,7 @@ def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | Non
 
 
 def _known_names(layout: Layout) -> dict[str, str]:
-    """Return the normal form of each name that a layout uses."""
+    """Return the normal form of each name in a layout."""
     entries = [*layout.parts.values(), *({point.joint: 1.0, point.unit_bone: 1.0} for point in layout.points)]
     names = sorted({name for entry in entries for name in _names_of(entry)} - {point.name for point in layout.points})
     return dict(zip(names, normal_names(names), strict=True))
@@ -167,11 +164,11 @@ def _names_of(entry: Entry) -> list[str]:
 
 
 NORMAL_NAMES = {name: _known_names(layout) for name, layout in LAYOUTS.items()}
-"""For each layout the normal form of the names that it uses."""
+"""Normal forms of the names in each layout."""
 
 
 def _in_file(layout: Layout, joints: Mapping[str, str]) -> dict[str, Entry]:
-    """Return the parts of a layout that a file has joints for, in the file's names."""
+    """Return the parts of a layout for which a file has joints, in the file's names."""
     normal, points = NORMAL_NAMES[layout.name], {point.name: point for point in layout.points}
     parts: dict[str, Entry] = {}
     taken: set[str] = set()
@@ -194,7 +191,7 @@ def _in_file(layout: Layout, joints: Mapping[str, str]) -> dict[str, Entry]:
 
 
 def _lacking(layout: Layout, joints: Mapping[str, str]) -> list[str]:
-    """Return the joints that a layout needs and a file lacks, in the layout's words."""
+    """Return the needed joints of a layout that a file lacks, in the layout's names."""
     parts = _in_file(layout, joints)
     lacking = [layout.parts[part] for part in (layout.parts if layout.is_whole else NEEDED) if part not in parts]
     if not layout.is_whole and not parts.keys() & {"neck", "head", "skull"}:
@@ -203,7 +200,7 @@ def _lacking(layout: Layout, joints: Mapping[str, str]) -> list[str]:
 
 
 def _hang_together(parts: Mapping[str, Entry], skeleton: Skeleton) -> bool:
-    """Tell whether each limb is a way through the tree: names of one word mean other joints in other programs."""
+    """Return whether each limb is a path in the tree: a name may mean different joints in different programs."""
 
     def joint(part: str) -> int:
         entry = parts[part]
@@ -218,13 +215,13 @@ def _hang_together(parts: Mapping[str, Entry], skeleton: Skeleton) -> bool:
 
 
 def _fitted(name: str, skeleton: Skeleton, rest_offsets: Array) -> Layout:
-    """Return a layout in the names of a file that has what it needs."""
+    """Return a layout in the names of a file, which has the needed joints."""
     return _fitted_once(name, skeleton, np.asarray(rest_offsets, np.float64).tobytes())
 
 
 @lru_cache(maxsize=64)
 def _fitted_once(name: str, skeleton: Skeleton, rest_offsets: bytes) -> Layout:
-    """Return it; files of one rig, of which there may be thousands, have the same joints and bones."""
+    """Return the same; cached, because thousands of files of one rig may have the same joints and bones."""
     layout, offsets = LAYOUTS[name], np.frombuffer(rest_offsets).reshape(-1, 3)
     joints, normal = by_normal_name(skeleton.joint_names), NORMAL_NAMES[layout.name]
     points = tuple(

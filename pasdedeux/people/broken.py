@@ -1,7 +1,7 @@
-"""Tracks that end where another begins: somebody who was lost for a while, or two people.
+"""Tracks that end where another begins: either one person who was lost for a while, or two people.
 
-Where one ended and one began soon after, in one place, equally large and moving on, and nobody else who comes or goes
-could be either of them, they are one person.  Where less agrees, it is a question for whoever knows the video.
+They are one person if the second track begins soon after the first has ended, at the same place, with the same size and
+motion, and no other track could be either of them.  Otherwise the user, who knows the video, is asked.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from pasdedeux.people.decisions import Decision
 from pasdedeux.people.identity import body_size_px
 
 _BROKEN_S, _BROKEN_SIZES, _BROKEN_GROWTH = 3.0, 0.6, 1.4
-"""Who begins so soon after another ended, so near by body sizes, and no more times as large, may be the same person."""
+"""Limits for a possible break: time, distance in body sizes, and ratio of sizes."""
 _CLEAR_SIZES, _CLEAR_GROWTH = 0.3, 1.2
-"""So near, with what both move on by, and no more times as large, nobody but the same person is."""
+"""Limits for a clear break: distance, also after extrapolation, in body sizes, and ratio of sizes."""
 _END_S, _FADE_S = 0.2, 0.5
-"""The end of a track is its last so many seconds; its speed fades so fast."""
+"""Duration that counts as the end of a track; time constant with which its speed fades."""
 
 
 @dataclass(frozen=True)
 class Break:
-    """Somebody's track that ends where somebody else's begins.
+    """A track that ends where another begins.
 
     Args:
-        before: Number of who ends.
-        after: Number of who begins.
-        first_frame: Frame that the latter begins with.
-        last_frame: The last one with them.
-        is_clear: Both are one person, as far as can be seen.
+        before: Person whose track ends.
+        after: Person whose track begins.
+        first_frame: First frame of the latter.
+        last_frame: Last frame of the latter.
+        is_clear: Whether both are clearly one person.
     """
 
     before: int
@@ -43,13 +43,13 @@ class Break:
     is_clear: bool
 
     def joined(self, sequence_id: str) -> Decision:
-        """Return the row of the table of people that joins them."""
+        """Return the decision that joins them."""
         return Decision(sequence_id, self.first_frame, self.last_frame, self.after, self.before)
 
 
 @dataclass(frozen=True)
 class _TrackEnd:
-    """Where a track begins or ends: frame, place (2,) and speed (2,) of the middle of the joints, and size, pixels."""
+    """Start or end of a track: frame, position (2,) and speed (2,) of the middle of the joints, and size, pixels."""
 
     frame: int
     place_px: Array
@@ -60,9 +60,9 @@ class _TrackEnd:
 def find_breaks(
     frame: Integers, person_id: Integers, keypoints_px: Array, confidence: Array, *, rate_hz: float
 ) -> list[Break]:
-    """Return whose track ends where another's begins; each is continued by one other at most, the nearest.
+    """Return the tracks that end where another begins; each is continued by at most one other, the nearest.
 
-    Rows that show nobody say where nobody is; but who has one in a frame cannot be anybody else of that frame.
+    Rows without keypoints have no position, but their person is present in the frame and cannot be another one in it.
 
     Args:
         frame: Frame of each row (row,).
@@ -97,7 +97,7 @@ def find_breaks(
         apart = float(np.linalg.norm(start.place_px - end.place_px)) / size
         if growth > _BROKEN_GROWTH or apart > _BROKEN_SIZES:
             continue
-        # Whoever walks out of the image does not go on to where another one walks in.
+        # A person who leaves the image would not continue to where another one enters it.
         moved_s, step = _FADE_S * (1.0 - float(np.exp(-gap_s / _FADE_S))), start.place_px - end.place_px
         off = max(float(np.linalg.norm(step - moved_s * speed)) for speed in (end.speed_px_s, start.speed_px_s)) / size
         is_clear = growth <= _CLEAR_GROWTH and max(apart, off) <= _CLEAR_SIZES
@@ -106,7 +106,7 @@ def find_breaks(
 
 
 def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, is_last: bool) -> _TrackEnd:
-    """Return the beginning or the end of a track from its rows there."""
+    """Return the start or end of a track from its rows there."""
     middle = np.nanmedian(points, axis=1)
     times = (frame - frame.mean()) / rate_hz
     speed = times @ (middle - middle.mean(axis=0)) / max(float(times @ times), 1e-9)
@@ -115,7 +115,7 @@ def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, i
 
 
 def _nearest(breaks: Sequence[Break]) -> list[Break]:
-    """Return each person's nearest, by rising distance; where others could be either of them, it is not clear."""
+    """Return the nearest break of each person; it is not clear if others compete with it."""
     broken: list[Break] = []
     for one in breaks:
         if any(one.before == other.before or one.after == other.after for other in broken):
@@ -126,7 +126,7 @@ def _nearest(breaks: Sequence[Break]) -> list[Break]:
 
 
 def join_breaks(sequence_id: str, breaks: Sequence[Break]) -> list[Decision]:
-    """Return the rows of the table of people that join the clear ones; who is lost several times is one person."""
+    """Return decisions that join the clear breaks; a person who is lost several times stays one person."""
     first: dict[int, int] = {}
     rows = []
     for one in sorted((broken for broken in breaks if broken.is_clear), key=lambda broken: broken.first_frame):

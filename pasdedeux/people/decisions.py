@@ -1,6 +1,6 @@
-"""What was decided of who is who, as a table that can be read, changed and given back.
+"""The table of people: decisions on identities, which users can read, edit and return.
 
-A row says who the person is, for some frames, that following found (or the source names) by a number::
+A row maps a person, by the number from following (or from the source), to an identity for some frames::
 
     sequence,first_frame,last_frame,person,is
     clip1,0,299,0,0
@@ -8,9 +8,9 @@ A row says who the person is, for some frames, that following found (or the sour
     clip1,120,299,1,2
     clip1,40,61,3,nobody
 
-Both frames are included.  Two persons who are one get the same number in `is`, one who is two gets a row for each part,
-and `nobody` drops them.  Whom no row names stays who they are.  A column `partner` may state the partner of a person,
-by the number that the partner has in `is`.
+Both frames are included.  Two persons who are one get the same number in `is`; a person who is two gets a row for each
+part; `nobody` drops a person.  Persons without a row do not change.  The optional column `partner` states the partner
+of a person, by the number of the partner in `is`.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _MAX_LISTED = 20
 
 @dataclass(frozen=True)
 class Decision:
-    """Who a person of a sequence is in the frames from `first_frame` to `last_frame`; -1 for nobody.
+    """The identity of a person of a sequence in the frames from `first_frame` to `last_frame`; -1 for nobody.
 
-    `partner` is the person stated as the partner; None where nobody is stated.
+    `partner` is the stated partner, None if none is stated.
     """
 
     sequence_id: str
@@ -48,17 +48,17 @@ class Decision:
 
     @classmethod
     def from_words(cls, row: str) -> Decision:
-        """Return the one that `in_words` gave."""
+        """Parse a row of `in_words`."""
         (decision,) = read_decisions(f"{','.join(COLUMNS)}\n{row}")
         return decision
 
     def in_words(self) -> str:
-        """Return it as its row says it."""
+        """Return it as a row of the table, without partner."""
         name = NOBODY if self.is_person < 0 else str(self.is_person)
         return csv_line(self.sequence_id, self.first_frame, self.last_frame, self.person, name)
 
     def as_joined(self) -> str:
-        """Say that it was decided here, and the row that says otherwise."""
+        """Describe a decision of the program, with the row that would revert it."""
         apart = replace(self, is_person=self.person)
         return (
             f"{self.is_person} ends where {self.person} begins, and is taken for the same person from frame "
@@ -67,7 +67,7 @@ class Decision:
 
 
 def read_decisions(data: bytes | str) -> list[Decision]:
-    """Read the table."""
+    """Read the table of people."""
     decisions: list[Decision] = []
     with Lines(data, "table of people") as lines:
         for row in lines.table(COLUMNS, (*COLUMNS, PARTNER))[1]:
@@ -89,7 +89,7 @@ def read_decisions(data: bytes | str) -> list[Decision]:
 
 
 def check_sequences(decisions: Sequence[Decision], known: Collection[str]) -> None:
-    """Refuse a row of the table of who is who about a sequence that is not there."""
+    """Refuse decisions about unknown sequences."""
     for row in decisions:
         if row.sequence_id not in known:
             raise InputError(
@@ -99,15 +99,15 @@ def check_sequences(decisions: Sequence[Decision], known: Collection[str]) -> No
 
 
 def write_decisions(decisions: Iterable[Decision]) -> str:
-    """Return the table."""
+    """Return decisions as the table of people."""
     return "".join(f"{row}\n" for row in (",".join(COLUMNS), *(decision.in_words() for decision in decisions)))
 
 
 def couples_of(decisions: Iterable[Decision]) -> list[tuple[int, int]]:
-    """Return the couples that decisions about one sequence state, each once, the smaller number first.
+    """Return the couples stated in decisions about one sequence, each once, the smaller number first.
 
     Raises:
-        InputError: Somebody is to have two partners, or is nobody or themselves.
+        InputError: A person would have two partners, or be their own partner, or is nobody.
     """
     couples: dict[int, int] = {}
     for row in decisions:
@@ -125,12 +125,12 @@ def couples_of(decisions: Iterable[Decision]) -> list[tuple[int, int]]:
 def decide(
     sequence_id: str, frame: Integers, person_id: Integers, decisions: Sequence[Decision], *, is_start: bool = False
 ) -> Integers:
-    """Return who each row (row,) of a sequence is, -1 for nobody.
+    """Return the identity of each row (row,) of a sequence, -1 for nobody.
 
-    Of the start of a sequence, decisions about people and frames that it does not have are passed over.
+    If the rows are only the start of a sequence, decisions about other people and frames are ignored.
 
     Raises:
-        InputError: A person or frames that the sequence does not have, or two who would be one in the same frame.
+        InputError: A decision is about people or frames that are not there, or two people would be one in a frame.
     """
     decided = person_id.copy()
     people = [int(number) for number in np.unique(person_id)]
@@ -158,7 +158,7 @@ def decide(
 
 
 def spans_of(sequence_id: str, frame: Integers, person_id: Integers, is_person: Integers) -> list[Decision]:
-    """Return rows that say of every person (row,) who they are (row,), a row as long as that does not change."""
+    """Return decisions that map each person (row,) to their identity (row,), one per span without change."""
     spans = []
     for person in np.unique(person_id):
         rows = np.flatnonzero(person_id == person)

@@ -39,15 +39,15 @@ def person_names(count: int) -> list[str]:
 _PERSON = re.compile(
     r"[a-f]|(s|p|person|subject|actor|performer|dancer|player|character)\d{1,2}|lead(er)?|follow(er)?|(fe)?male|(wo)?man"
 )
-"""A part of a file's name that says who it is of."""
+"""A part of a file's name that identifies the person."""
 
 
 def partners_of(paths: Iterable[PurePath]) -> list[tuple[PurePath, ...]]:
-    """Group files of one person each into takes by their names: those of partners differ in one part alone.
+    """Group files of one person each into takes by their names: those of partners differ in one part only.
 
-    That part says who it is (`waltz_A`, `waltzB`, `push_S1`, folders `A/` and `B/`); where none does, it is the one
-    that leaves the smallest groups within a folder, the first of several, as in `60_03` with `61_03`.  Files without
-    a partner are groups of their own.
+    That part identifies the person (`waltz_A`, `waltzB`, `push_S1`, folders `A/` and `B/`); if there is none, it is the
+    one that gives the smallest groups within a folder, the first of several, as in `60_03` with `61_03`.  A file
+    without a partner is a group.
 
     >>> [[one.name for one in take] for take in partners_of(map(PurePath, ["60_1.bvh", "61_1.bvh", "60_2.bvh"]))]
     [['60_1.bvh', '61_1.bvh'], ['60_2.bvh']]
@@ -70,7 +70,7 @@ def partners_of(paths: Iterable[PurePath]) -> list[tuple[PurePath, ...]]:
 
 
 def take_name(files: Sequence[PurePath]) -> str:
-    """Return the name of the take that files of these names are of: without who it is of, else that of the first.
+    """Return the name of the take of some files: the name without the person, else that of the first.
 
     >>> take_name([PurePath("in/waltz_A.bvh"), PurePath("in/waltz_B.bvh")]), take_name([PurePath("in/60_03.bvh")])
     ('waltz', '60_03')
@@ -83,13 +83,13 @@ def take_name(files: Sequence[PurePath]) -> str:
 
 
 def _parts(path: PurePath) -> tuple[str, ...]:
-    """Return the parts of a path without its ending; a capital letter at the end of a name is one (`waltzA`)."""
+    """Return the parts of a path without its suffix; a capital letter at the end of a name is a part (`waltzA`)."""
     text = re.sub(r"(?<=[a-z0-9])([A-Z])(?=/|$)", r"_\1", path.with_suffix("").as_posix())
     return tuple(re.findall("[a-z0-9]+", text.lower()))
 
 
 def _differing(parts: Mapping[PurePath, tuple[str, ...]], at: int) -> list[list[PurePath]]:
-    """Return the files in groups whose names differ in the part at a place alone; others are groups of their own."""
+    """Group files whose names differ only in the part at one place."""
     groups: dict[tuple[str, ...], list[PurePath]] = {}
     for path, own in parts.items():
         place = at % len(own) if -len(own) <= at < len(own) else len(own)
@@ -98,6 +98,6 @@ def _differing(parts: Mapping[PurePath, tuple[str, ...]], at: int) -> list[list[
 
 
 def _likelihood(groups: Sequence[Sequence[PurePath]]) -> tuple[float, int]:
-    """Return a key that is least where groups are likely takes: the mean size of those of several, and their number."""
+    """Return a key that is smallest for likely takes: mean size of groups of several files, and number of groups."""
     sizes = [len(group) for group in groups if len(group) > 1]
     return sum(sizes) / len(sizes) if sizes else float("inf"), len(groups)

@@ -1,4 +1,4 @@
-"""Who is whose partner: two people of one size in the image whose bodies are close, a person in one pair at most."""
+"""Pairs of partners: two people of similar size in the image whose bodies are close; at most one pair a person."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ import numpy as np
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.people.identity import body_size_px
 
-# Lengths are shares of the mean size of both people in the image (about their height).  The constants are chosen on 60
-# films of couples among one to four bystanders, seen for all or the last third of them.
+# Lengths are in mean sizes of both people in the image (about their height).  The constants were chosen on 60 films of
+# couples with one to four bystanders, who are seen all the time or in the last third.
 _NEAR = 2.0
-"""Two people are near in a frame whose middles are less than this apart."""
+"""Distance of the middles below which two people are near in a frame."""
 _TOUCH, _MIDDLE = 0.2, 0.5
-"""Distances of the nearest joints and of the middles at which closeness is half of what it is at most."""
+"""Distances of the nearest joints and of the middles at which closeness is half of its maximum."""
 _SIZE = 0.4
-"""Logarithm of the ratio of sizes at which a score is 1/e of that of equal sizes: who is larger stands elsewhere."""
+"""Logarithm of the ratio of sizes that reduces a score to 1/e: a larger person is nearer to the camera."""
 _MIN_SCORE, _MIN_NEAR = 0.3, 0.3
-"""A pair has at least this score: a passer-by is nobody's partner.  Two people who are alone in a film are a pair where
-they are near each other in this share of the frames that show both."""
+"""Minimum score of a pair, which excludes passers-by; minimum share of the common frames in which two people who are
+alone in a film must be near to be a pair."""
 _COMMON_POWER = 0.25
-"""Among several a person is near, who is there for longer comes first: scores times this power of the common share."""
+"""Exponent of the common share in the ranking of pairs, which prefers people who are seen for longer."""
 _MIN_COMMON = (0.5, 0.1)
-"""Share of the frames of the one who is seen shorter, and of the other, in which both of a pair are seen."""
+"""Minimum shares of the frames of a pair in which both are seen: of the person who is seen less, and of the other."""
 
 
 @dataclass(frozen=True)
 class NearPeople:
-    """Two people who are a pair, the smaller number first, and in how many frames they are near each other."""
+    """A pair, the smaller number first, and the number of frames in which they are near."""
 
     first: int
     second: int
@@ -44,19 +44,19 @@ def choose_pairs(
     confidence: Array,
     couples: Sequence[tuple[int, int]] = (),
 ) -> list[NearPeople]:
-    """Return the pairs of a sequence, those of the highest score first; a person is in one at most.
+    """Return the pairs of a sequence, highest score first; a person is in at most one.
 
-    The score is the mean closeness over the frames that show both, times exp(-(log size ratio / 0.4)^2), so people who
-    come late can have a partner, too; of two pairs the one that is seen for longer is favoured.  Closeness is
-    1 / (1 + (j / 0.2)^2) / (1 + (m / 0.5)^2), j the distance of the nearest joints of both, m that of their middles
-    (median over the joints seen), in mean sizes.  Nobody whose size is unknown is in a pair.
+    The score is the mean closeness over the common frames, times exp(-(log size ratio / 0.4)^2), so that people who
+    come late can have a partner, too; pairs that are seen for longer are ranked higher.  Closeness is
+    1 / (1 + (j / 0.2)^2) / (1 + (m / 0.5)^2), where j is the distance of the nearest joints and m that of the middles
+    (medians of the seen joints), in mean sizes.  People of unknown size are in no pair.
 
     Args:
         frame: Frame of each row (row,).
         person_id: Person of each row (row,), once a frame.
         keypoints_px: (row, joint, 2), NaN where not seen.
         confidence: (row, joint), 0 where not seen.
-        couples: Pairs that are stated; they come first, whatever their score.  Those not there are passed over.
+        couples: Stated pairs; they come first with any score.  Pairs that are not there are ignored.
     """
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
     rows = np.flatnonzero(is_seen.sum(axis=1) >= 2)
@@ -91,7 +91,7 @@ def choose_pairs(
 
 
 def _apart(points: Array, others: Array, size: Array, other_size: Array) -> tuple[Array, Array, float]:
-    """Return how far two people are apart in common frames, in mean sizes.
+    """Return the distance of two people in common frames, in mean sizes.
 
     Returns:
         Distances of the nearest joints and of the middles (frame,), and the median logarithm of the ratio of sizes.

@@ -1,4 +1,4 @@
-"""Repair of a detector's keypoints: what is found on the joints of op14 goes for the keypoints that move with them."""
+"""Repair of a detector's keypoints: faults found on the joints of op14 apply to keypoints that move with them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MOVES_WITH = {
     **dict.fromkeys(("big_toe", "small_toe", "heel"), "ankle"),
     **dict.fromkeys(("pinky", "index", "thumb"), "wrist"),
 }
-"""Keypoints of hands and feet that are swapped and exchanged with a joint of op14."""
+"""Keypoints of hands and feet, and the joint of op14 with which they are swapped and exchanged."""
 
 
 def repair_rows(
@@ -27,9 +27,9 @@ def repair_rows(
     *,
     rate_hz: float,
 ) -> tuple[Array, Array, Keypoints, int]:
-    """Return a video's rows with swapped sides and exchanged limbs put right and wild keypoints masked.
+    """Correct swapped sides and exchanged limbs in the rows of a video, and mask wild keypoints.
 
-    Somebody of whom nothing would be left stays as they were.
+    A person who would have no keypoints left is not changed.
 
     Args:
         frame: (row,).
@@ -69,7 +69,7 @@ def repair_rows(
     others = np.array(
         [point for point, name in enumerate(layout.keypoint_names) if name not in joint_pairs], dtype=np.int64
     )
-    for number in range(len(people)):  # what is no joint of op14 is only masked
+    for number in range(len(people)):  # other keypoints are only masked
         rows = np.flatnonzero(person == number)
         rows = rows[np.argsort(at[rows])]
         frames, there = at[rows] - at[rows[0]], np.ix_(rows, others)
@@ -87,7 +87,7 @@ def repair_rows(
 
 
 def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:
-    """Return for each keypoint the joint of op14 that it moves with, -1 for none, and its mirrored keypoint."""
+    """Return for each keypoint the joint of op14 with which it moves, -1 for none, and its mirrored keypoint."""
     names, own_joints = layout.keypoint_names, _own_joints(layout)
     joints = []
     for keypoint, name in enumerate(names):
@@ -99,5 +99,5 @@ def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:
 
 
 def _own_joints(layout: KeypointLayout) -> dict[str, str]:
-    """Return the joint of op14 that a keypoint is by itself, by the keypoint's name."""
+    """Return the joints of op14 that are equal to a keypoint, by the keypoint's name."""
     return {next(iter(means[0])): joint for joint, means in layout.recipes[OP14.name].items() if len(means[0]) == 1}

@@ -1,4 +1,4 @@
-"""A layout for joints that none is known for, drafted by names, tree and pose, to be looked at and corrected."""
+"""Drafts of layouts for unknown joints, from names, tree and pose, for the user to check and correct."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from pasdedeux.skeletons.layouts.recognising import NEEDED, NORMAL_NAMES, SEVERA
 from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton
 
 _ALIKE = 0.15
-"""Difference of two limbs of one body at most, share of their length."""
+"""Largest difference of two limbs of one body, a share of their length."""
 _MOST_OF_A_LIMB = 0.6
-"""Share of the shorter one that is alike of two limbs at least."""
+"""Minimum share of the shorter one of two limbs that is alike."""
 _ARM_OF_LEG = 0.68
-"""Length of upper arm and forearm over that of thigh and shin [Drillis and Contini 1966]."""
+"""Length of the arm over that of the leg, without hand and foot [Drillis and Contini 1966]."""
 _LIMB = 0.15
-"""Length of a limb at least, share of the longest way through the body."""
+"""Minimum length of a limb, a share of the longest path in the body."""
 _UPPER_TO_LOWER = {"arm": 1.27, "leg": 1.0}
 """Length of the upper arm over the forearm, and of the thigh over the shin [Drillis and Contini 1966]."""
 _BEFORE = {"arm": 1.2, "leg": 0.6}
 _AFTER = {"arm": 1.0, "leg": 0.9}
-"""Way from the trunk to the limb, and from its end to tips of hand or foot, in lengths of its upper bone, at most."""
+"""Largest path lengths from trunk to limb, and from its end to the tip of hand or foot, in upper bones."""
 _BENT_COST, _COVER_COST, _FAR_COST, _NO_HEAD_COST = 10.0, 0.1, 2.0, 1.0
 _MOST_JOINTS, _MOST_PAIRS = 30, 12
-"""Joints of a limb and pairs of limbs that are looked at: more than any body has."""
+"""Maximum number of joints of a limb and of pairs of limbs that are examined: more than any body has."""
 _NECK_HEIGHT = 0.13
-"""Height over the shoulders, in lengths of the trunk, from which a joint is no base of a neck."""
+"""Maximum height of the base of the neck over the shoulders, in lengths of the trunk."""
 _SKULL_AWAY = 0.1
-"""Distance of the joint on which the head turns from the base of the neck, in lengths of the trunk, at least."""
+"""Minimum distance of the joint of the skull from the base of the neck, in lengths of the trunk."""
 _LIKE_PEOPLE = 0.4
-"""Logarithm by which limbs of two people differ in length at most."""
+"""Largest difference of the logarithms of the lengths of limbs of two people."""
 _TOE_ACROSS, _BENT = 0.1, 0.03
-"""Share of the shin that a foot leads away from its line at least, and of the leg that a bent knee does."""
+"""Minimum deviation of a foot from the line of the shin, a share of the shin; that of a bent knee, of the leg."""
 _SURE_SIDE = 0.5
-"""Cosine between the line of the hips and the left of what knees and toes call front, which tells the sides."""
+"""Cosine between the line of the hips and left, as seen from knees and toes, from which the sides are sure."""
 _SHORTEST_WORD = 4
-"""Letters of a word at least that counts at the end of a name."""
+"""Minimum length of a known word at the end of a name."""
 _END_WORDS = ("end", "nub", "site", "tip")
 
 _BY_NAME, _BY_TREE, _BY_POSE = "by its name", "by tree and pose", "by knees and toes"
@@ -54,13 +54,13 @@ _BY_NAME, _BY_TREE, _BY_POSE = "by its name", "by tree and pose", "by knees and 
 
 @dataclass(frozen=True)
 class DraftedPart:
-    """A part of a body and the joint that it seems to be.
+    """A part of a body and its likely joint.
 
     Args:
         part: As in `Layout.parts`.
-        joint: Joint of the file; empty where there is none, and the part is needed.
-        reason: What tells it.
-        is_sure: Whether it need not be looked at.
+        joint: Joint of the file; empty if a needed part has none.
+        reason: The evidence.
+        is_sure: Whether it need not be checked.
     """
 
     part: str
@@ -71,10 +71,10 @@ class DraftedPart:
 
 @dataclass(frozen=True)
 class Draft:
-    """The parts of a body as they are found in a file.
+    """The parts of a body in a file.
 
     Args:
-        parts: From the pelvis to the toes; what is not told is derived.
+        parts: From the pelvis to the toes; missing ones are derived.
         are_several: Whether there are limbs of several bodies.
         skeleton: The joints of the file.
         rest_offsets: Their offsets (J, 3).
@@ -87,16 +87,16 @@ class Draft:
 
     @property
     def missing(self) -> list[str]:
-        """Needed parts for which no joint was found."""
+        """Needed parts without a joint."""
         return [part.part for part in self.parts if not part.joint]
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is a layout: one body with all that is needed."""
+        """Whether it is a complete layout of one body."""
         return not self.missing and not self.are_several
 
     def layout(self, name: str) -> Layout:
-        """Return the layout that the draft is.
+        """Return the draft as a layout.
 
         Raises:
             InputError: Needed parts are missing, or there are several bodies.
@@ -120,10 +120,10 @@ class Draft:
 
 
 def draft_mapping(skeleton: Skeleton, rest_offsets: Array, positions: Array | None = None) -> Draft:
-    """Guess the joints of a file.
+    """Draft a layout for the joints of a file.
 
-    Legs and arms are the two pairs of branches of like length; the legs are the longer.  Where names tell a part, they
-    decide.  Sides are told by names, else by where toes point and knees bend.
+    Legs and arms are the two pairs of branches of similar length; the legs are longer.  Names that identify a part take
+    precedence.  Sides follow from names, else from the direction of toes and bent knees.
 
     Args:
         skeleton: The joints of the file.
@@ -135,7 +135,7 @@ def draft_mapping(skeleton: Skeleton, rest_offsets: Array, positions: Array | No
 
 
 def _vocabulary() -> dict[str, set[str]]:
-    """Return the parts that known layouts mean by each normal name without its side."""
+    """Return the possible parts of each normal name without side, in known layouts."""
     words: dict[str, set[str]] = {}
     for name, layout in LAYOUTS.items():
         for part, entry in layout.parts.items():
@@ -152,7 +152,7 @@ _WORDS = _vocabulary()
 
 @dataclass(frozen=True)
 class _Triple:
-    """Places on a branch where a limb starts, bends and ends, its length, and how unlike a limb it is."""
+    """Places on a branch where a limb starts, bends and ends, its length, and its cost: how unlike a limb it is."""
 
     places: tuple[int, int, int]
     length: float
@@ -166,7 +166,7 @@ _Pair = tuple[_Branch, _Branch]
 
 @dataclass(frozen=True)
 class _Drafting:
-    """A file's joints and poses, and the parts found in them."""
+    """The joints and poses of a file, from which parts are found."""
 
     skeleton: Skeleton
     rest_offsets: Array
@@ -203,7 +203,7 @@ class _Drafting:
         return Draft(tuple(row for row in rows if row), are_several, self.skeleton, self.rest_offsets)
 
     def _are_several(self, pairs: Sequence[_Pair], legs: _Pair, arms: _Pair) -> bool:
-        """Tell whether there are further legs and arms, of like length, that hang from other joints."""
+        """Return whether there are further legs and arms of similar length at other joints."""
         used = self._joints(legs) | self._joints(arms)
         for kind, known in (("leg", legs), ("arm", arms)):
             length = self._triple(kind, known).length
@@ -227,13 +227,13 @@ class _Drafting:
         return [(side, bare) for side, _, bare in split]
 
     def _means(self, joint: int) -> set[str]:
-        """Return the parts that known layouts mean by a joint's name, or by the end of it."""
+        """Return the possible parts of a joint's name, or of the end of it, in known layouts."""
         name = self._normal[joint][1]
         ends = (name[at:] for at in range(len(name) - _SHORTEST_WORD + 1))
         return _WORDS.get(name) or next((_WORDS[end] for end in ends if end in _WORDS), set())
 
     def _part(self, part: str, joint: int, side_reason: str = "", is_side_sure: bool = True) -> DraftedPart:
-        """Return a part with the reason for it."""
+        """Return a part with its evidence."""
         is_named = part.removeprefix("left_").removeprefix("right_") in self._means(joint)
         reasons = [_BY_NAME if is_named else _BY_TREE, side_reason if side_reason != _BY_NAME or not is_named else ""]
         reason = ", its side ".join(filter(None, reasons))
@@ -241,7 +241,7 @@ class _Drafting:
 
     @cached_property
     def _next(self) -> dict[int, int]:
-        """Child of each joint on the longest way outward."""
+        """Child of each joint on the longest path outward."""
         far, following = np.zeros(self.skeleton.num_joints), {}
         for joint in reversed(self.skeleton.order[1:]):
             parent, length = self.skeleton.parents[joint], far[joint] + self._lengths[joint]
@@ -250,14 +250,14 @@ class _Drafting:
         return following
 
     def _longest(self, joint: int) -> list[int]:
-        """Return the longest way from a joint outward, itself first, as far as a limb may go."""
+        """Return the longest path from a joint outward, itself first, up to the maximum number of joints of a limb."""
         way = [joint]
         while way[-1] in self._next and len(way) < _MOST_JOINTS:
             way.append(self._next[way[-1]])
         return way
 
     def _pairs(self) -> list[_Pair]:
-        """Return the pairs of branches that are alike bone by bone, both from one joint."""
+        """Return the pairs of branches from one joint whose bones have similar lengths."""
         body = self._lengths[self._longest(self.skeleton.root)].sum()
         pairs: list[_Pair] = []
         for joint in range(self.skeleton.num_joints):
@@ -269,9 +269,9 @@ class _Drafting:
         return sorted(pairs, key=lambda pair: -float(self._lengths[list(pair[0][1:])].sum()))[:_MOST_PAIRS]
 
     def _num_alike(self, first: Sequence[int], second: Sequence[int]) -> int:
-        """Return how many bones from the start of two ways are alike; 0 where that is less than a limb.
+        """Return the number of similar bones from the start of two paths; 0 if they are too few for a limb.
 
-        One of two hands may have fingers, or hold something.
+        The ends may differ: one of two hands may have fingers, or hold something.
         """
         shared = min(len(first), len(second))
         bones = self._lengths[list(first[:shared])], self._lengths[list(second[:shared])]
@@ -284,18 +284,18 @@ class _Drafting:
         return {joint for branch in pair for joint in branch[1:]}
 
     def _cost(self, people: tuple[_Pair, _Pair]) -> float:
-        """Return how little one pair are legs and the other arms: by proportions, and by a head between the arms."""
+        """Return the cost of one pair as legs and the other as arms: proportions, and a head between the arms."""
         legs = self._triple("leg", people[0])
         arms = self._triple("arm", people[1], _ARM_OF_LEG * legs.length)
         return legs.cost + arms.cost + _NO_HEAD_COST * (not self._head(*people))
 
     def _triple(self, kind: str, pair: _Pair, length: float = 0.0) -> _Triple:
-        """Return the places on two ways where a limb starts, bends and ends: straight bones of the usual proportion.
+        """Return the places on two paths where a limb starts, bends and ends: straight bones of usual proportions.
 
         Args:
             kind: arm or leg.
-            pair: The ways.
-            length: What the limb should measure, where that is known.
+            pair: The paths.
+            length: Expected length of the limb; 0 if unknown.
         """
         ways = [list(branch) for branch in pair]
         at = np.mean([np.cumsum(np.concatenate([[0.0], self._lengths[way[1:]]])) for way in ways], axis=0)
@@ -317,7 +317,7 @@ class _Drafting:
         return min((triple(*places) for places in combinations(range(1, len(at)), 3)), key=lambda limb: limb.cost)
 
     def _limb(self, kind: str, branch: _Branch, places: tuple[int, int, int]) -> dict[str, int]:
-        """Return the joints of a limb by their parts, by names where they tell it; ends of bones by the tree."""
+        """Return the joints of a limb by part, from names if these are unambiguous, else from the places."""
         parts = ARM if kind == "arm" else LEG
         inner = [at for at in range(1, len(branch)) if not self._normal[branch[at]][1].endswith(_END_WORDS)]
         named = [[at for at in inner if self._means(branch[at]) == {part}] for part in parts]
@@ -336,7 +336,7 @@ class _Drafting:
         return limb
 
     def _sides(self, limbs: Mapping[str, Sequence[Mapping[str, int]]]) -> tuple[dict[str, bool], str, bool]:
-        """Return for each kind of limb whether the first is the left one, what tells it, and whether that is sure."""
+        """Return for each kind of limb whether the first is the left one, the evidence, and whether that is sure."""
         named = {
             kind: [{self._normal[joint][0] for joint in limb.values()} - {""} for limb in both]
             for kind, both in limbs.items()
@@ -363,7 +363,7 @@ class _Drafting:
         return {"leg": legs_left, "arm": legs_left if arms > 0 else not legs_left}, _BY_POSE, abs(cosine) > _SURE_SIDE
 
     def _trunk(self, legs: _Pair, arms: _Pair, limbs: Mapping[str, Sequence[Mapping[str, int]]]) -> dict[str, int]:
-        """Return pelvis, neck and skull as far as there are joints for them."""
+        """Return the joints of pelvis, neck and skull, as far as there are any."""
         node, chest = legs[0][0], arms[0][0]
         trunk = {} if node == chest else {"pelvis": node}
         head = self._head(legs, arms)
@@ -389,7 +389,7 @@ class _Drafting:
         return trunk | ({"skull": skull} if away.get(skull) else {})
 
     def _head(self, legs: _Pair, arms: _Pair) -> list[int]:
-        """Return the longest way between the arms that does not lead to the legs."""
+        """Return the longest path between the arms that does not lead to the legs."""
         used = {*(branch[1] for branch in (*arms, *legs)), *self.skeleton.path(legs[0][0])}
         ways = [self._longest(child) for child in self.skeleton.children(arms[0][0]) if child not in used]
         return max(ways, key=lambda way: float(self._lengths[way].sum()), default=[])

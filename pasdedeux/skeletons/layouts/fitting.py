@@ -1,4 +1,4 @@
-"""A layout fitted to one file: what the file lacks is derived from what it has."""
+"""A layout fitted to one file: missing joints are derived from those that are there."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from pasdedeux.skeletons.skeleton import ARM, LEG, Skeleton
 from pasdedeux.skeletons.working import BODY22
 
 _SPINE = {"spine1": 0.23, "spine2": 0.45, "spine3": 0.68, "spine": 1 / 3, "chest": 2 / 3}
-"""Place of joints between the pelvis and the base of the neck, shares of the way; those of body22's T-pose."""
+"""Positions of joints between pelvis and base of the neck, as shares; those of the T-pose of body22."""
 _SNAP = 0.12
-"""Share of the trunk within which a joint of the file is taken to be a joint of the spine."""
+"""Largest distance of a joint of the file from that of the spine that it is taken for, a share of the trunk."""
 _EAR, _NOSE_FORWARD = 0.243, 0.17
-"""Height of the ear over the base of the neck, and distance of the nose before it, in lengths of the trunk."""
+"""Height of the ear over the base of the neck, and distance of the nose before the ear, in trunk lengths."""
 _EAR_FACTORS = (0.6, 2.0)
-"""Position of the ear on the line from the base of the neck to the joint of the head, in lengths between them."""
+"""Range of the position of the ear on the line from the base of the neck to the head joint, as a factor."""
 _TOE_FORWARD, _TOE_DOWN, _NO_AXES_TOE = 0.37, 0.10, 0.2
-"""Ball of the foot from the ankle, in lengths of the shin; the last along the shin where forward is not known."""
+"""Ball of the foot from the ankle, in shin lengths; the last one along the shin, if forward is unknown."""
 _COLLAR, _NECK_OF_SHOULDERS = 0.25, 0.8
 _NO_BONE = 0.01
-"""Share of the longest bone below which a bone has no length."""
+"""Bones shorter than this share of the longest one count as empty."""
 _PELVIS_AWAY = 0.5
-"""A pelvis farther from the middle of the hips than this share of the legs is a node of the scene."""
+"""A pelvis that is farther from the middle of the hips, in leg lengths, is a node of the scene."""
 _STRAIGHT, _SQUARE, _ALONG = 0.7, 0.4, 0.95
-"""Cosines: legs against trunk at least, trunk against the line of hips at most, an axis against the file's at least."""
+"""Cosines: minimum of legs and trunk, maximum of trunk and hip line, minimum for snapping to the file's axes."""
 
 
 def fit_parts(name: str, meaning: str, parts: Mapping[str, Entry], skeleton: Skeleton, rest_offsets: Array) -> Layout:
-    """Return the layout of parts that are told in the file's own names; what they lack is derived.
+    """Return the layout of parts that are given in the file's names; missing parts are derived.
 
     Args:
         name: Name of the layout.
@@ -75,14 +75,14 @@ class LayoutFit:
 
     @cached_property
     def _short(self) -> float:
-        """Length up to which a bone is none, file units; negative where the rest pose tells nothing."""
+        """Length up to which a bone is empty, file units; negative if the rest pose has no bones."""
         return _NO_BONE * float(self._lengths.max(initial=0.0)) or -1.0
 
     @cached_property
     def _axes(self) -> Array | None:
-        """Left, up and forward of the rest pose as columns (3, 3); None where it is no person who stands.
+        """Left, up and forward of the rest pose as columns (3, 3); None unless a person stands.
 
-        Axes that lie near those of the file are those of the file.
+        Axes near those of the file are replaced by them.
         """
         if self.told.keeps_axes:
             return np.eye(3)
@@ -109,7 +109,7 @@ class LayoutFit:
         """Return the layout with all of its parts, points and tables."""
         parts, points = dict(self.told.parts), self._points()
         if parts.get("nose") == "nose" and ("nose" not in points or "neck" not in parts):
-            del parts["nose"]  # such a point is told in lengths of the bone from neck to head
+            del parts["nose"]  # such a point needs the bone from neck to head
             points.pop("nose", None)
         told = set(parts)
         self._leave_out_empty(parts)
@@ -137,7 +137,7 @@ class LayoutFit:
         )
 
     def _points(self) -> dict[str, AddedPoint]:
-        """Return the points that the layout tells, in the frames of the file's joints."""
+        """Return the points of the layout in the frames of the file's joints."""
         axes = self._axes
         return {
             point.name: replace(point, offset=tuple((axes @ np.array(point.offset)).tolist()))
@@ -146,7 +146,7 @@ class LayoutFit:
         }
 
     def _place(self, entry: Entry) -> Array:
-        """Return where an entry of the file's joints is at rest."""
+        """Return the position of an entry in the rest pose."""
         shares = ({entry: 1.0} if isinstance(entry, str) else entry).items()
         points = {point.name: point.joint for point in self.told.points}
         return np.asarray(
@@ -157,7 +157,7 @@ class LayoutFit:
         return float(np.linalg.norm(self._place(first) - self._place(second)))
 
     def _leave_out_empty(self, parts: dict[str, Entry]) -> None:
-        """Take away what lies on the joint before it, and a pelvis that is a node of the scene."""
+        """Remove joints that coincide with the one before, and a pelvis that is a node of the scene."""
         points = {point.name for point in self.told.points}
         for side in SIDES:
             toe = parts.get(f"{side}_toe")
@@ -174,7 +174,7 @@ class LayoutFit:
             del parts["pelvis"]
 
     def _add_neck_and_head(self, parts: dict[str, Entry]) -> Entry:
-        """Add neck and head where they are missing; gives what carries the head."""
+        """Add missing neck and head, and return the entry that carries the head."""
         skull = parts.get("skull") or parts.get("head")
         if "neck" not in parts:
             shoulders = mixed((parts[f"{side}_shoulder"], 0.5) for side in SIDES)
@@ -197,7 +197,7 @@ class LayoutFit:
         return skull or neck
 
     def _add_spine(self, parts: dict[str, Entry]) -> set[str]:
-        """Add the joints between pelvis and neck; gives those that are joints of the file."""
+        """Add the joints between pelvis and neck, and return the parts that are joints of the file."""
         pelvis, neck = parts["pelvis"], parts["neck"]
         names = self.skeleton.joint_names
         path: list[Entry] = [pelvis, *(names[joint] for joint in self._between(parts)), neck]
@@ -224,7 +224,7 @@ class LayoutFit:
         return joints
 
     def _between(self, parts: Mapping[str, Entry]) -> list[int]:
-        """Return the joints of the tree after the one that trunk and legs share, up to before the neck."""
+        """Return the joints between the last one that trunk and legs share, and the neck."""
         legs = [self._ancestors(parts[f"{side}_hip"]) for side in SIDES]
         neck = self._ancestors(parts["neck"] if isinstance(parts["neck"], str) else parts["left_shoulder"])
         if not isinstance(parts["neck"], str):
@@ -236,12 +236,12 @@ class LayoutFit:
         return [joint for joint in reversed(neck[1:]) if joint not in shared and joint != pelvis_joint]
 
     def _ancestors(self, entry: Entry) -> list[int]:
-        """Return the joint with the greatest weight and all joints above it, itself first."""
+        """Return the joint with the largest weight and all joints above it, itself first."""
         name = entry if isinstance(entry, str) else max(entry, key=lambda name: entry[name])
         return self.skeleton.path(self.skeleton.index(name))[::-1]
 
     def _toe(self, side: str, parts: Mapping[str, Entry], points: dict[str, AddedPoint]) -> Entry:
-        """Return the ball of a foot: what hangs from the ankle and does not go on as the shin does; else a guess."""
+        """Return the ball of a foot: a child of the ankle off the line of the shin, else a guess."""
         ankle, knee = parts[f"{side}_ankle"], parts[f"{side}_knee"]
         shin = self._place(ankle) - self._place(knee)
         length = float(np.linalg.norm(shin))
@@ -260,7 +260,7 @@ class LayoutFit:
         return self._carried(f"{side}_toe", joint, vector, points)
 
     def _nose(self, parts: Mapping[str, Entry], skull: Entry, points: dict[str, AddedPoint]) -> Entry:
-        """Return a point before the ears, or the head where forward is not known."""
+        """Return a point before the ears; the head if forward is unknown."""
         trunk = self._distance(parts["neck"], parts["pelvis"])
         if self._axes is None or trunk <= 0:
             return parts["head"]
@@ -269,7 +269,7 @@ class LayoutFit:
         return self._carried("nose", joint, vector, points)
 
     def _carried(self, name: str, joint: int, vector: Array, points: dict[str, AddedPoint]) -> str:
-        """Add a point that a joint carries, as far from it as this vector at rest; gives its name."""
+        """Add a point fixed to a joint, at this vector from it in the rest pose, and return its name."""
         chain = reversed(self.skeleton.path(joint))
         unit = next((above for above in chain if self._lengths[above] > self._short), int(np.argmax(self._lengths)))
         while name in self.skeleton.joint_names:

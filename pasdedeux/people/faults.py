@@ -1,15 +1,14 @@
 """Faults of 2D detectors in close contact: sides swapped, limbs given to the wrong person, wild keypoints.
 
-All are detected by continuity: a label that is wrong makes joints jump, and back again when it is right again.
+All are detected by continuity: joints jump when a label becomes wrong, and jump back when it is right again.
 
-- *Swapped sides* (arms, legs, or all of the body) and *exchanged limbs* (a limb of one person given to the other and
-  the reverse) keep all keypoints and only their labels are wrong.  For every frame the labelling is chosen by Viterbi
-  over pairs of frames, so that the second difference of the joints over time is least; wrong labels are put right.
-Joints far less confident than the person's usual ones say nothing about labels, and are the first to be wild.
-
-- *Wild keypoints* (a limb found on the other person only, a merged person's mixture) are places no relabelling
-  explains.  Per joint the frames that can be reached from one another at a plausible speed are kept; the others, and
-  ends of limbs whose bone is longer than it ever is, are masked with confidence 0.
+- *Swapped sides* (arms, legs, or the whole body) and *exchanged limbs* (limbs of two people exchanged) have right
+  keypoints with wrong labels.  The labelling of every frame is found by Viterbi over pairs of frames, which minimises
+  the second differences of the joints over time; wrong labels are corrected.  Joints of a much lower confidence than
+  usual for the person do not count.
+- *Wild keypoints* (a limb detected on the other person only, a mixture of two people) cannot be explained by labels.
+  For each joint, frames that can be reached from each other at a plausible speed are kept; the others, and ends of
+  bones that are longer than usual, are masked with confidence 0.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _EXCHANGED_LIMBS = tuple(limb[1:] for limb in OP14.limbs)
 _MIRROR = np.array(OP14.mirror)
 _SIDE_STATES = 4
 _MEMORY_S = 0.2
-"""Joints not seen for longer than this say nothing about continuity."""
+"""Joints not seen for longer than this do not count for continuity."""
 
 _USUAL_QUANTILE = 0.95
 # Lengths are shares of the size of the body in the image (about its height).
@@ -38,13 +37,13 @@ _RELABEL_COST = 0.004
 _SWITCH_COST = 0.02
 """Cost of a change of the labelling between two frames."""
 _SPEED_PER_S, _USUAL_SPEEDS = 3.0, 2.0
-"""Speed up to which what a joint moves between two frames costs nothing, but at most this many times its top speed."""
+"""Speed of a joint that costs nothing, and its limit as a multiple of the joint's usual top speed."""
 _MASK_COST = 0.012
-"""Cost of masking a joint in one frame, against 1 for a jump of the body's size."""
+"""Cost of masking a joint in one frame, relative to a jump of the body's size."""
 _LONGEST_WILD_S = 0.4
-"""A joint that is elsewhere for longer than this is taken to be there."""
+"""A joint that is elsewhere for longer than this is not masked."""
 _BONE_EXCESS = 1.4
-"""A bone this many times as long as it usually is at most cannot be that bone."""
+"""Ratio to the usual maximum length from which a bone is impossible."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +53,8 @@ class RepairedCrowd:
     Args:
         keypoints_px: (person, frame, 14, 2); masked joints are NaN.
         confidence: (person, frame, 14); 0 where masked.
-        source_person: Person who was given each joint (person, frame, 14): the other one where a limb was exchanged.
-        source_joint: Label under which it was given (person, frame, 14): its mirror where sides were swapped.
+        source_person: Person of each joint before repair (person, frame, 14): the other one if a limb was exchanged.
+        source_joint: Label of each joint before repair (person, frame, 14): the mirrored one if sides were swapped.
         is_masked: Joints masked as wild (person, frame, 14).
     """
 
@@ -67,7 +66,7 @@ class RepairedCrowd:
 
     @property
     def is_touched(self) -> Flags:
-        """Joints that are not as they were given (person, frame, 14)."""
+        """Joints that were changed (person, frame, 14)."""
         is_own = self.source_person == np.arange(len(self.source_person))[:, None, None]
         return self.is_masked | ~is_own | (self.source_joint != np.arange(OP14.num_joints))
 
@@ -80,7 +79,7 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
         confidence: (person, frame, 14), 0 where not seen.
         rate_hz: Frames per second.
 
-    Who is seen in fewer than three frames is left as they are.
+    People who are seen over fewer than three frames are not changed.
     """
     people = len(keypoints_px)
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (np.nan_to_num(confidence) > 0)
@@ -115,9 +114,9 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
 
 
 def repair_sides(keypoints_px: Array, *, rate_hz: float) -> Integers:
-    """Return for each frame and joint of a person the joint whose keypoint it really is (frame, 14).
+    """Return for each frame and joint of a person the true source joint (frame, 14).
 
-    The four labellings of a frame: as given, arms swapped, legs swapped, both.
+    A frame has four possible labellings: as given, arms swapped, legs swapped, both.
     """
     sources = np.tile(np.arange(14), (_SIDE_STATES, 1))
     for state in range(_SIDE_STATES):
@@ -132,7 +131,7 @@ def repair_sides(keypoints_px: Array, *, rate_hz: float) -> Integers:
 
 
 def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Flags:
-    """Tell which joints of two people (2, frame, 14, 2) were given to the wrong one (frame, 14), limb by limb."""
+    """Return which joints of two people (2, frame, 14, 2) are exchanged (frame, 14), limb by limb."""
     exchanged = np.zeros(pair_px.shape[1:3], dtype=bool)
     size = np.nanmax([track_size_px(pair_px[0]), track_size_px(pair_px[1])], axis=0)
     for limb in _EXCHANGED_LIMBS:
@@ -140,14 +139,14 @@ def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Flags:
         given = np.concatenate([limb_px[0], limb_px[1]], axis=1)
         other = np.concatenate([limb_px[1], limb_px[0]], axis=1)
         path = _smoothest(np.stack([given, other], axis=1), np.array([0.0, 1.0]), size, rate_hz)
-        # Exchange needs both limbs; with one missing it may be the partner's or one's own, so masking decides.
+        # Both limbs are needed; if one is missing, the exchange is not sure, and masking decides.
         is_complete = np.isfinite(given).all(axis=(-1, -2))
         exchanged[:, np.array(limb)] = ((path == 1) & is_complete)[:, None]
     return exchanged
 
 
 def wild_joints(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> Flags:
-    """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone that is too long."""
+    """Return which joints of a person (frame, 14) are at unreachable places, or end a bone that is too long."""
     size = track_size_px(_trusted(keypoints_px, confidence))
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
     is_wild = wild_points(keypoints_px, confidence, size, rate_hz=rate_hz)
@@ -162,10 +161,10 @@ def wild_joints(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> Fl
 
 
 def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_hz: float) -> Flags:
-    """Tell which keypoints of a person (frame, K) are where they cannot have got to.
+    """Return which keypoints of a person (frame, K) are at unreachable places.
 
-    Per keypoint the cheapest chain of kept frames: dropping a frame costs `_MASK_COST` times the trust in it, going
-    from one kept frame to the next costs the distance beyond what the speed allows.
+    For each keypoint, the cheapest chain of frames is kept: dropping a frame costs `_MASK_COST` times its trust, and
+    going from one kept frame to the next costs the distance beyond what the speed allows.
 
     Args:
         keypoints_px: (frame, K, 2); NaN where not seen.
@@ -190,7 +189,7 @@ def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_
 
 
 def _span(is_there: Flags) -> slice:
-    """Return the frames from the first to the last in which a person is seen; empty for who is never seen."""
+    """Return the frames from the first to the last in which a person is seen; empty if never."""
     frames = np.flatnonzero(is_there)
     return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) else slice(0, 0)
 
@@ -202,12 +201,12 @@ def _trust(confidence: Array) -> Array:
 
 
 def _trusted(keypoints_px: Array, confidence: Array) -> Array:
-    """Return a person's keypoints (frame, 14, 2), NaN where they are hardly trusted."""
+    """Return a person's keypoints (frame, 14, 2), NaN for those with low trust."""
     return np.asarray(np.where((_trust(confidence) >= MIN_TRUST)[..., None], keypoints_px, np.nan))
 
 
 def track_size_px(keypoints_px: Array) -> Array:
-    """Return the size of a person over the frames (frame,), by the median over the track."""
+    """Return the size of a person over the frames (frame,): the median over the track."""
     size = body_size_px(keypoints_px, np.isfinite(keypoints_px).all(axis=-1).astype(float))
     known = size[np.isfinite(size)]
     return np.full(len(size), float(np.median(known)) if len(known) else 1.0)
@@ -216,8 +215,8 @@ def track_size_px(keypoints_px: Array) -> Array:
 def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float) -> Integers:
     """Return the labelling of each frame (frame,) with the least second differences.
 
-    Viterbi over pairs of labellings of neighbouring frames.  Where a joint was not seen its last place stands for
-    it for a short while and then it says nothing.
+    Viterbi over pairs of labellings of neighbouring frames.  An unseen joint keeps its last place for a short time,
+    then it does not count.
 
     Args:
         states: Joints under each labelling (frame, state, joint, 2), NaN where not seen.
@@ -248,7 +247,7 @@ def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float) -> In
 
 
 def _hold(states: Array, longest: int) -> Array:
-    """Let the last place of a joint stand for up to `longest` frames in which it was not seen."""
+    """Keep the last place of a joint for up to `longest` frames in which it was not seen."""
     held = np.array(states)
     age = np.zeros(states.shape[1:-1], dtype=np.int64)
     for frame in range(1, len(states)):
@@ -259,7 +258,7 @@ def _hold(states: Array, longest: int) -> Array:
 
 
 def _kept(frames: Integers, places: Array, free_distance: float, reach: int, mask_cost: Array) -> Flags:
-    """Return which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
+    """Return which frames of a joint (n,) are in the cheapest chain; `places` (n, 2) are in body sizes."""
     count = len(frames)
     cost = np.zeros(count)
     dropped = np.concatenate([[0.0], np.cumsum(mask_cost)])  # cost of dropping all frames before this one

@@ -1,9 +1,8 @@
-"""Stable identities of the people of a video: which detection of a frame is which person of the frames before.
+"""Stable identities of the people of a video: matching the detections of each frame to people in the frames before.
 
-Detectors list people in any order.  A person is followed by the 2D pose itself: every joint of a track is predicted
-from its place and speed, and the detections of a frame are given to the tracks by the assignment of least total cost.
-Two people who cross hardly ever have all joints in the same place with the same labels, so the pose tells them apart
-where the place does not.
+Detectors list people in any order.  People are followed by their 2D pose: every joint of a track is predicted from its
+place and speed, and detections are assigned to tracks with minimum total cost.  Two people who cross hardly ever have
+all joints at the same places with the same labels, so the pose distinguishes them where the place does not.
 """
 
 from __future__ import annotations
@@ -17,40 +16,40 @@ from pasdedeux.people.identity_kernels import GATE, clean_detections, match_cost
 
 _SIZE_GAIN = 0.1
 _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
-"""Who is not seen goes on: the speed of the whole body fades slowly, that of limbs against it fast."""
+"""Unseen people move on: the speed of the body fades slowly, that of limbs relative to it fast."""
 
 
 # Lengths are shares of the size of the body in the image (about its height).
 _GATE_GROWTH_PER_S, _MAX_GATE = 0.5, 0.6
-"""Growth of `GATE` while a person is not seen, and what it never grows beyond."""
+"""Growth of `GATE` while a person is not seen, and its maximum."""
 MAX_ABSENT_S = 1.5
-"""After this time unseen a person who comes back is a new one."""
+"""A person who was unseen for longer than this is a new one."""
 _DUPLICATE = 0.06
-"""Two detections of a frame nearer than this are one person seen twice."""
+"""Distance below which two detections of a frame are one person."""
 _FRAGMENT = 0.1
-"""A detection is part of a person where its joints lie this near, on average, to where the person's are expected."""
+"""Mean distance from the predicted joints of a person below which a detection is a part of that person."""
 _MAX_COMMON = 2
-"""Parts of a person have at most so many joints in common, such as the hips, and those in one place."""
+"""Maximum number of common joints of parts of a person, such as the hips, which must coincide."""
 _FRAGMENT_MEMORY_S = 0.5
-"""A track unseen for longer than this is no part of a person who is seen whole."""
+"""A track that was unseen for longer than this is not a part of another person."""
 _GHOST_S = 0.25
-"""Tracks seen for less than this are dropped, when the sequence is four times as long."""
+"""Shorter tracks are dropped, if the sequence is four times as long."""
 MIN_JOINTS = 3
 """Detections with fewer joints are dropped."""
 _GIVEN_COST = 0.05
-"""Cost of a detection that the source numbers otherwise than the person's one before; it grows with the time between as
-the gate does, for motion then says less."""
+"""Cost of a detection with another number in the source than the person's last one; it grows with the time between like
+the gate, because motion is less certain then."""
 
 
 @dataclass(frozen=True)
 class FollowedRows:
-    """Detections with the person they belong to.
+    """Detections with their persons.
 
     Args:
         track_id: Person of each row (row,), counted from 0 by first appearance; -1 for dropped rows.
-        keypoints_px: (row, joint, 2); rows that a doubled person was merged into hold the mean of both.
+        keypoints_px: (row, joint, 2); rows into which a double was merged have the mean of both.
         confidence: (row, joint).
-        twin: Row that a doubled detection, or another part of a person, was merged into (row,); -1 for all others.
+        twin: Row into which a double or another part of a person was merged (row,); -1 for others.
     """
 
     track_id: Integers
@@ -60,12 +59,12 @@ class FollowedRows:
 
     @property
     def num_merged(self) -> int:
-        """Doubled detections and parts of people that were merged into others."""
+        """Number of doubled detections and parts of people that were merged into others."""
         return int(np.count_nonzero(self.twin >= 0))
 
     @property
     def num_ghosts(self) -> int:
-        """Rows of short ghosts and of detections with too few joints that were dropped."""
+        """Number of dropped rows: of short tracks, and with too few joints."""
         return int(np.count_nonzero((self.track_id < 0) & (self.twin < 0)))
 
 
@@ -82,7 +81,7 @@ class _Followed:
     given_id: int
 
     def predict(self, time_s: float) -> Array:
-        """Return where the joints are expected; speeds fade, so that absences do not fling people away."""
+        """Return the predicted joints; speeds fade, so that unseen people do not move too far."""
         passed = time_s - self.last_time_s
         body_s, limb_s = _faded(passed, _BODY_FADE_S), _faded(passed, _LIMB_FADE_S)
         return predict_joints(self.place_px, self.speed_px_s, self.is_known, body_s, limb_s)
@@ -91,7 +90,7 @@ class _Followed:
 def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
     """Return the size (*batch,) of people in the image, about their height, pixels; NaN with fewer than two joints.
 
-    The diagonal of the box of the trusted joints, but at least what the trunk says and at most four times the trunk.
+    This is the diagonal of the box of trusted joints, limited to 1.5 to 4 times that of the trunk.
     """
     batch, joints = confidence.shape[:-1], confidence.shape[-1]
     flat, seen = keypoints_px.reshape(-1, joints, 2), confidence.reshape(-1, joints)
@@ -99,13 +98,13 @@ def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
 
 
 class Follower:
-    """Follows people frame by frame, as frames arrive; the state is theirs alone."""
+    """Follows people frame by frame."""
 
     def __init__(self) -> None:
         self._people: list[_Followed] = []
         self._num_tracks = 0
         self.part_of: dict[int, int] = {}
-        """Tracks that turned out to be a part of a person, such as the legs alone, with the track of that person."""
+        """Tracks of parts of a person, such as the legs alone, with the track of the person."""
 
     def step(
         self, time_s: float, keypoints_px: Array, confidence: Array, given_id: Integers | None = None
@@ -116,8 +115,8 @@ class Follower:
             time_s: Time of the frame, later than the one before.
             keypoints_px: Detections (detection, 14, 2), NaN where not seen.
             confidence: (detection, 14), 0 where not seen.
-            given_id: Person of each detection (detection,) as the source numbers them, where it does over time; then
-                every detection with a joint is a person of its own, or a part of one.
+            given_id: Number of each detection's person in the source (detection,), if it numbers them over time; then
+                every detection with a joint is a person or a part of one.
         """
         points, seen, trust, size = clean_detections(
             np.asarray(keypoints_px, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
@@ -139,7 +138,7 @@ class Follower:
                 limit += claim[:, None]
             from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
 
-            # Leaving both unmatched costs 0; who was away has a wider gate but no better claim.
+            # No match costs 0; a person who was unseen has a wider gate but no advantage.
             gated = np.where(cost <= limit, cost - 2.0 * _MAX_GATE, 0.0)
             for row, column in zip(*linear_sum_assignment(gated), strict=True):
                 if cost[row, column] <= limit[row, column]:
@@ -177,7 +176,7 @@ class Follower:
         return FollowedRows(track_id, points, seen, twins)
 
     def _join_parts(self, matched: dict[int, _Followed], time_s: float, points: Array, is_seen: Flags) -> None:
-        """End the tracks that are parts of a person who is seen whole in this frame."""
+        """End the tracks of parts of people who are seen whole in this frame."""
         tracked = {person.track_id for person in matched.values()}
         for index, person in matched.items():
             for other in [one for one in self._people if one.track_id not in tracked]:
@@ -189,7 +188,7 @@ class Follower:
                     self._people.remove(other)
 
     def _costs(self, time_s: float, points: Array, trust: Array, size: Array) -> tuple[Array, Array]:
-        """Return the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
+        """Return the cost (person, detection), in body sizes, and its allowed maximum."""
         cost = np.empty((len(self._people), len(points)))
         limit = np.zeros(cost.shape)
         for row, person in enumerate(self._people):
@@ -201,20 +200,20 @@ class Follower:
 def follow_people(
     frame: Integers, keypoints_px: Array, confidence: Array, *, rate_hz: float, given_id: Integers | None = None
 ) -> FollowedRows:
-    """Return the person of every detection of a sequence, whatever the order of people within its frames.
+    """Return the person of every detection of a sequence; the order of people within frames does not matter.
 
-    Where the source numbers people, a change of number is evidence against a match, and no more than that; then nobody
-    is dropped or merged.
+    If the source numbers people, a change of number is evidence against a match, and no doubles or short tracks are
+    removed.
 
     Args:
         frame: Frame number of each row (row,), in any order; numbers may have gaps.
         keypoints_px: op14 keypoints (row, 14, 2), pixels; NaN where not seen.
         confidence: (row, 14), 0 where not seen.
         rate_hz: Frames per second.
-        given_id: Person of each row (row,) as the source numbers them over time.
+        given_id: Number of each row's person in the source (row,), over time.
 
     Returns:
-        The rows in the order given; without rows nothing.
+        The rows in the given order.
     """
     points, seen = np.array(keypoints_px, dtype=np.float64), np.array(confidence, dtype=np.float64)
     track_id, twin = np.full((2, len(frame)), -1, dtype=np.int64)
@@ -237,7 +236,7 @@ def follow_people(
 
 
 def identity_switches(true_id: Integers, track_id: Integers, frame: Integers) -> int:
-    """Count how often a person's track is not the one the person was last seen with; dropped rows (-1) are skipped."""
+    """Count how often the track of a person changes; dropped rows (-1) are skipped."""
     switches = 0
     for person in np.unique(true_id):
         rows = np.flatnonzero((true_id == person) & (track_id >= 0))
@@ -247,19 +246,19 @@ def identity_switches(true_id: Integers, track_id: Integers, frame: Integers) ->
 
 
 def mean_of_two(points: Array, confidence: Array) -> tuple[Array, Array]:
-    """Return the mean (joint, 2) of two detections (2, joint, 2) by confidence, and the higher confidence of both."""
+    """Return the mean (joint, 2) of two detections (2, joint, 2), weighted by confidence, and the higher confidence."""
     total = confidence.sum(axis=0)
     mean = np.einsum("dj,djc->jc", confidence, np.nan_to_num(points)) / np.where(total > 0, total, 1.0)[:, None]
     return np.where((total > 0)[:, None], mean, np.nan), confidence.max(axis=0)
 
 
 def _faded(passed_s: float, fade_s: float) -> float:
-    """Return the time that a fading speed has worked for."""
+    """Return the effective time of a fading speed."""
     return fade_s * (1.0 - float(np.exp(-passed_s / fade_s)))
 
 
 def _twin(index: int, matched: dict[int, _Followed], points: Array, is_seen: Flags, size: Array) -> int | None:
-    """Return the matched detection that this one is a double of, None where it is somebody of its own."""
+    """Return the matched detection of which this one is a double, or None."""
     for other in matched:
         both = is_seen[index] & is_seen[other]
         if both.sum() < min(4, is_seen[index].sum()):
@@ -271,7 +270,7 @@ def _twin(index: int, matched: dict[int, _Followed], points: Array, is_seen: Fla
 
 
 def _fits(person: _Followed, time_s: float, points: Array, is_seen: Flags) -> bool:
-    """Tell whether some joints (joint, 2) are where those of the person are expected; three must be known at least."""
+    """Return whether joints (joint, 2) are near those predicted for a person; at least three must be known."""
     both = person.is_known & is_seen
     if both.sum() < MIN_JOINTS:
         return False
@@ -280,7 +279,7 @@ def _fits(person: _Followed, time_s: float, points: Array, is_seen: Flags) -> bo
 
 
 def _other_part(index: int, matched: dict[int, _Followed], time_s: float, points: Array, is_seen: Flags) -> int | None:
-    """Return the matched detection that shows another part of the person that this one shows; None without one."""
+    """Return the matched detection of another part of the same person, or None."""
     for other, person in matched.items():
         is_part = _are_parts(points[index], is_seen[index], points[other], is_seen[other], person.size_px)
         if is_part and person.last_time_s < time_s and _fits(person, time_s, points[index], is_seen[index]):
@@ -289,7 +288,7 @@ def _other_part(index: int, matched: dict[int, _Followed], time_s: float, points
 
 
 def _are_parts(points: Array, is_seen: Flags, others: Array, is_other_seen: Flags, size_px: float) -> bool:
-    """Tell whether two sets of joints (joint, 2) can be parts of one body of this size."""
+    """Return whether two sets of joints (joint, 2) can be parts of one body of this size."""
     both = is_seen & is_other_seen
     apart = np.linalg.norm(points[both] - others[both], axis=-1)
     return int(both.sum()) <= _MAX_COMMON and bool((apart < _DUPLICATE * size_px).all())
@@ -298,7 +297,7 @@ def _are_parts(points: Array, is_seen: Flags, others: Array, is_other_seen: Flag
 def _joined_rows(
     frame: Integers, track_id: Integers, twin: Integers, points: Array, seen: Array, part: int, whole: int
 ) -> tuple[Integers, Integers, Array, Array]:
-    """Return tracks, twins, keypoints and confidences with the rows of one track joined to those of another."""
+    """Join the rows of one track to another, and return tracks, twins, keypoints and confidences."""
     row_of = {int(frame[row]): int(row) for row in np.flatnonzero(track_id == whole)}
     for row in np.flatnonzero(track_id == part).tolist():
         other = row_of.get(int(frame[row]))
@@ -313,7 +312,7 @@ def _joined_rows(
 
 
 def _update(person: _Followed, time_s: float, points: Array, trust: Array, size_px: float) -> None:
-    """Move a person's state to a detection that is theirs."""
+    """Update a person by a matched detection."""
     passed, state = time_s - person.last_time_s, (person.place_px, person.speed_px_s, person.is_known)
     fade = float(np.exp(-passed / _LIMB_FADE_S))
     update_joints(*state, person.predict(time_s), points, trust, passed, fade)
@@ -322,7 +321,7 @@ def _update(person: _Followed, time_s: float, points: Array, trust: Array, size_
 
 
 def _ghosts(frame: Integers, track_id: Integers, rate_hz: float) -> Flags:
-    """Tell the rows of tracks that were seen too shortly to be people."""
+    """Return the rows of tracks that are too short for people."""
     length = int(np.ptp(frame)) + 1 if len(frame) else 0
     min_count = min(round(_GHOST_S * rate_hz), length // 4)
     ids, counts = np.unique(track_id, return_counts=True)

@@ -1,4 +1,4 @@
-"""What following people does with each detection of a frame, compiled: a live frame cannot afford array calls."""
+"""Compiled kernels for following people, because array calls take too long for live frames."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _HIGHEST_BOX_PER_LENGTH = 4.0
 _MIN_BOX_PER_LENGTH = 1.5
 # Lengths are shares of the size of the body in the image (about its height).
 GATE = 0.25
-"""Mean joint distance from the prediction beyond which a detection is somebody else."""
+"""Mean joint distance from the prediction beyond which a detection is another person."""
 _SIZE_COST = 0.2
-"""Cost of a size that is e times the one before."""
+"""Cost of a change of size by a factor of e."""
 _NEW_COST = 0.05
-"""Cost of a detection none of whose joints the person had before: each part of a split body keeps its track."""
+"""Cost of a detection without joints that the person had before, so that parts of a split body keep their tracks."""
 _PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
 """Alpha-beta filter of a joint: near the critically damped pair beta = alpha^2 / (2 - alpha), a little slower."""
 
@@ -28,8 +28,8 @@ _PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
 def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Array, Array]:
     """Return keypoints (n, j, 2), NaN where not seen, confidences, 0 there, trust (n, j) in them, and sizes (n,).
 
-    Joints are trusted by their confidence as a share of the median of the detection, at most 1; those below 0.3 of it
-    are not, for detectors put joints anywhere that they do not find, and say so by a low confidence.
+    The trust in a joint is its confidence relative to the median of the detection, at most 1, and 0 below 0.3:
+    detectors place joints that they do not find anywhere, with a low confidence.
     """
     count, joints = confidence.shape
     points, seen = np.empty((count, joints, 2)), np.empty((count, joints))
@@ -53,7 +53,7 @@ def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array,
 
 @inner_kernel()
 def size_in_image(points: Array, is_seen: Flags) -> float:
-    """Do `identity.body_size_px` for one person (j, 2)."""
+    """Return `identity.body_size_px` of one person (j, 2)."""
     box, count = _diagonal(points, is_seen, np.arange(points.shape[0]))
     if count < 2:
         return np.nan
@@ -65,7 +65,7 @@ def size_in_image(points: Array, is_seen: Flags) -> float:
 
 @inner_kernel()
 def _diagonal(points: Array, is_seen: Flags, joints: Integers) -> tuple[float, int]:
-    """Return the diagonal of the box of the seen joints, and how many they are."""
+    """Return the diagonal of the box of the seen joints, and their number."""
     count = 0
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for joint in joints:
@@ -78,7 +78,7 @@ def _diagonal(points: Array, is_seen: Flags, joints: Integers) -> tuple[float, i
 
 @compiled()
 def predict_joints(place: Array, speed: Array, is_known: Flags, body_s: float, limb_s: float) -> Array:
-    """Return where a person's joints (j, 2) are expected: median speed works for `body_s`, what is left `limb_s`."""
+    """Predict a person's joints (j, 2): the median speed acts for `body_s`, the remaining speed for `limb_s`."""
     out = np.empty(place.shape)
     for axis in range(2):
         body = np.median(speed[is_known, axis])
@@ -89,12 +89,12 @@ def predict_joints(place: Array, speed: Array, is_known: Flags, body_s: float, l
 
 @compiled()
 def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Array, trust: Array, size: Array) -> Array:
-    """Return what each detection (n,) costs a person: mean distance of its joints from the prediction in sizes.
+    """Return the cost (n,) of each detection for a person: mean distance of its joints from the prediction in sizes.
 
-    Joints count by the trust (n, j) in them, 0 for those not seen.
+    Joints are weighted by trust (n, j), 0 for those not seen.
 
-    A single joint that is far off is a detector's fault and not another person: it counts three gates at most.  Where
-    the two have too few joints in common only the place of the whole tells.  Joints that the person never had cost a
+    A single joint that is far off is a fault of the detector, not another person, so it counts at most three gates.  If
+    there are too few common joints, the distance of the centres is used.  Joints that the person never had cost a
     little.
     """
     cost = np.empty(points.shape[0])
@@ -131,9 +131,9 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
 def update_joints(
     place: Array, speed: Array, is_known: Flags, predicted: Array, seen: Array, trust: Array, passed: float, fade: float
 ) -> None:
-    """Move a person's joints (j, 2) to a detection that is theirs, in place; speeds of joints not seen fade.
+    """Update a person's joints (j, 2) by a matched detection, in place; speeds of joints not seen fade.
 
-    What is trusted (j,) less moves them less.
+    Joints of lower trust (j,) move less.
     """
     for joint in range(place.shape[0]):
         is_seen = trust[joint] > 0

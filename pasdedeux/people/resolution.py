@@ -1,4 +1,4 @@
-"""Identity resolution in a source of 2D poses: who is who, faults of the detector, and pairs."""
+"""Identities of people in a source of 2D poses, repair of detections, and pairs."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ class SequencePeople:
     Args:
         sequence_id: The sequence.
         num_people: People in it.
-        pairs: Who is whose partner; none chosen here where people have a number within one image only.
-        why_not_followed: Why it is no video, whose people could be followed; empty where it is one.
-        num_merged_rows: Doubled detections, and parts of people, that were merged.
-        num_ghost_rows: Detections that were dropped.
-        num_repaired_joints: Joints of op14 that were put right or masked.
-        num_renamed_rows: Detections that are not who the source says they are.
-        decisions: Who everybody is, as `decisions` writes it; none of images whose people have no numbers over time.
-        joined: Those of them that nobody stated, for a track ended where another began.
+        pairs: Pairs of partners; empty if people have numbers within an image only.
+        why_not_followed: Why people cannot be followed, if it is not a video; else empty.
+        num_merged_rows: Number of doubled detections, and parts of people, that were merged.
+        num_ghost_rows: Number of dropped detections.
+        num_repaired_joints: Number of joints of op14 that were corrected or masked.
+        num_renamed_rows: Number of detections whose person differs from that in the source.
+        decisions: Identities for the table of people; empty for images whose people have no numbers over time.
+        joined: Those decisions that join a track that ends where another begins.
     """
 
     sequence_id: str
@@ -81,7 +81,7 @@ class SequencePeople:
     joined: tuple[Decision, ...] = ()
 
     def in_words(self) -> str:
-        """Say it in a line."""
+        """Describe it in a line."""
         words = [counted(self.num_people, "person")]
         words += [
             f"{pair.first} and {pair.second} are partners (near in {counted(pair.num_near, 'frame')})"
@@ -102,11 +102,11 @@ class SequencePeople:
 
 @dataclass(frozen=True)
 class ResolvedPeople:
-    """A source of 2D poses whose identities are resolved; rows sorted by sequence, frame and person.
+    """A source of 2D poses with resolved identities; rows sorted by sequence, frame and person.
 
     Args:
-        frames: The rows that are left, with who each is and with repaired keypoints.
-        source_person_id: The person of each row (row,) as the source numbers them.
+        frames: The remaining rows with persons and repaired keypoints.
+        source_person_id: Number of each row's person in the source (row,).
         partner_id: The partner of each row's person (row,); -1 for nobody.
         op14: Keypoints (row, 14, 2) and confidences (row, 14), repaired.
         sequences: What was decided of each sequence, by name.
@@ -128,7 +128,7 @@ class SequenceRows:
         person_id: (row,).
         keypoints_px: (row, K, 2) of the source's layout; NaN where not seen.
         confidence: (row, K); 0 where not seen.
-        source_row: Which row of the source each is (row,).
+        source_row: Index of each row in the source (row,).
     """
 
     frame: Integers
@@ -138,13 +138,13 @@ class SequenceRows:
     source_row: Integers
 
     def chosen(self, rows: Integers | Flags) -> SequenceRows:
-        """Return some of the rows."""
+        """Return the selected rows."""
         return SequenceRows(*(getattr(self, one.name)[rows] for one in fields(self)))
 
 
 @dataclass(frozen=True)
 class ResolvedSequence:
-    """One sequence whose identities are resolved: rows by frame and person, op14, partners (row,), -1 for nobody."""
+    """One sequence with resolved identities: rows by frame and person, op14, partners (row,), -1 for nobody."""
 
     rows: SequenceRows
     op14: Keypoints
@@ -162,14 +162,14 @@ def resolve_people(
     """Resolve identities in every sequence, repair the detector's faults, and find the pairs.
 
     Args:
-        frames: The rows as a source gives them, with their rate.
-        settings: How.
-        decisions: What somebody else decided, which is right; those of other sequences are passed over.
-        is_start: The rows are the start of longer sequences: decisions about people or frames not there are passed
-            over.
+        frames: The rows of a source, with their rate.
+        settings: The settings.
+        decisions: Decisions of the user, which are binding; those about other sequences are ignored.
+        is_start: Whether the rows are only the start of longer sequences; then decisions about missing people or frames
+            are ignored.
 
     Raises:
-        InputError: The rate is not known, nobody is left, or a decision is about what the sequences do not have.
+        InputError: The rate is unknown, nobody is left, or a decision is about missing people or frames.
     """
     if frames.rate_hz is None:
         raise InputError("people cannot be followed without the frame rate of the video")
@@ -231,17 +231,17 @@ def resolve_sequence(
     decisions: Sequence[Decision] = (),
     is_start: bool = False,
 ) -> ResolvedSequence:
-    """Do for one sequence what `resolve_people` does for all of a source.
+    """Resolve the identities in one sequence; see `resolve_people`.
 
     Args:
         sequence_id: Its name.
-        rows: As the source gives them.
-        layout: What the keypoints are.
+        rows: The rows in the source.
+        layout: Layout of the keypoints.
         rate_hz: Frames per second.
         has_identities: Whether a person has the same number in every frame.
-        settings: How.
-        decisions: What somebody else decided of this sequence.
-        is_start: The rows are the start of a longer sequence.
+        settings: The settings.
+        decisions: Decisions of the user about this sequence.
+        is_start: Whether the rows are only the start of a longer sequence.
     """
     settings = settings or PeopleSettings()
     is_followed = settings.identities == "follow" or (settings.identities == "auto" and not has_identities)
@@ -286,7 +286,7 @@ def resolve_sequence(
 
 
 def _merged(rows: SequenceRows, twin: Integers) -> SequenceRows:
-    """Return the rows without those that are merged into others, their twins (row,); -1 for rows that have none."""
+    """Merge rows into their twins (row,), -1 for none, and return the others."""
     keypoints_px, confidence = rows.keypoints_px.copy(), rows.confidence.copy()
     for row in np.flatnonzero(twin >= 0):
         both = np.array([twin[row], row])
@@ -295,10 +295,10 @@ def _merged(rows: SequenceRows, twin: Integers) -> SequenceRows:
 
 
 def _names_of(rows: SequenceRows, track_id: Integers) -> Integers:
-    """Return who each row is (row,), where the source numbers people over time but may take them for each other.
+    """Return the person of each row (row,), if the source numbers people over time but may confuse them.
 
-    Tracks (row,) were followed with the numbers as evidence.  A track gets the number that its rows have most often.
-    Several tracks get one number only where they are not there together: a person who comes back keeps it.
+    Tracks (row,) were followed with the numbers as evidence.  A track gets the most frequent number of its rows.
+    Several tracks get one number only if they are never there together, so a person who returns keeps the number.
     """
     is_followed = track_id >= 0
     votes, counts = np.unique(np.stack([track_id, rows.person_id])[:, is_followed], axis=1, return_counts=True)
@@ -320,9 +320,9 @@ def _names_of(rows: SequenceRows, track_id: Integers) -> Integers:
 def _partners(
     rows: SequenceRows, op14: Keypoints, couples: Sequence[tuple[int, int]], *, has_identities: bool
 ) -> tuple[list[NearPeople], Integers]:
-    """Return the pairs of a sequence, and each row's partner; images whose people have no names are paired singly.
+    """Return the pairs of a sequence, and each row's partner; without identities each image is paired alone.
 
-    `couples` are those that are stated.
+    `couples` are the stated pairs.
     """
     partner = np.full(len(rows.frame), -1, dtype=np.int64)
     groups = [np.arange(len(rows.frame))]

@@ -1,4 +1,4 @@
-"""Whether frame numbers are those of a video, and its rate."""
+"""Checks whether frames are those of a video, and its rate."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from pasdedeux.people.identity import MAX_ABSENT_S, MIN_JOINTS, body_size_px
 from pasdedeux.spread import evenly_spread
 
 _SHORT_SPAN = 1000
-"""Up to so many frames gaps cost nothing, so any are bridged."""
+"""Up to this number of frames, gaps do not matter."""
 _MIN_SHARE_SEEN = 0.05
-"""Of a longer sequence at least this share of the frames has people in it, or it is no video."""
+"""Minimum share of frames with people in a longer sequence for it to be a video."""
 
 MAX_REPAIR_GAP_S = 0.5
-"""Of frames that are typically farther apart nothing is repaired: motion between them looks like a fault."""
+"""Nothing is repaired if frames are typically farther apart: motion between them looks like a fault."""
 _MAX_STEP = 0.15
-"""Typical distance of the nearest people of successive frames, a share of their size: of salsa 0.02 at 30 Hz, up
-to 0.13 in frames half a second apart; of photos of a couple in nearly the same place 0.17, of others over 0.2."""
+"""Maximum typical distance of the nearest people of successive frames of a video, a share of their size.  Salsa has
+0.02 at 30 Hz, up to 0.13 at half a second; photos of a couple at nearly the same place 0.17, others over 0.2."""
 _MAX_STEPS = 2000
-"""Steps that are looked at."""
+"""Maximum number of steps that are examined."""
 
 
 def check_one_video(camera: str, names: Sequence[str]) -> None:
-    """Refuse a camera of a take that has not one video (these): the shots of a film, or several cameras.
+    """Refuse a camera of a take unless it has exactly one video: not several shots of a film, or several cameras.
 
     Raises:
-        InputError: Says what to do.
+        InputError: The message says what to do.
     """
     if len(names) != 1:
         raise InputError(
@@ -39,9 +39,9 @@ def check_one_video(camera: str, names: Sequence[str]) -> None:
 
 
 def why_no_video(frame: Integers) -> str:
-    """Say why frame numbers are not those of a video: single images, numbered by their ids or the time; else nothing.
+    """Return why frame numbers are not those of a video but of single images, numbered by ids or times; else "".
 
-    The gaps of such a sequence have no motion to bridge them, and there may be millions of frames of them.
+    In such a sequence there may be millions of frames in gaps, without motion between the images.
     """
     numbers = np.unique(frame)
     span = int(numbers[-1] - numbers[0]) + 1 if len(numbers) else 0
@@ -51,11 +51,11 @@ def why_no_video(frame: Integers) -> str:
 
 
 def why_not_followed(frame: Integers, keypoints_px: Array, confidence: Array, *, rate_hz: float) -> str:
-    """Say why nobody can be followed though the frame numbers may be a video's: single images; else nothing.
+    """Return why nobody can be followed although frame numbers may be those of a video; else "".
 
-    The frames are typically farther apart than anybody is followed, or the nearest people of one and the next are not.
-    False detections and wild joints do not matter: the nearest two people count, by the median over their joints.
-    Frames without people are passed over.
+    That is so if the frames are typically too far apart in time, or the nearest people of successive frames too far
+    apart in the image.  The nearest two people count, by the median over their joints, so false detections and wild
+    joints do not matter.  Frames without people are skipped.
 
     Args:
         frame: Frame number of each row (row,).
@@ -94,13 +94,13 @@ def why_not_followed(frame: Integers, keypoints_px: Array, confidence: Array, *,
 
 
 def typical_gap_s(frame: Integers, rate_hz: float) -> float:
-    """Return the median time between frames; 0 of fewer than two."""
+    """Return the median time between frames; 0 for fewer than two."""
     numbers = np.unique(frame)
     return float(np.median(np.diff(numbers))) / rate_hz if len(numbers) > 1 else 0.0
 
 
 def rate_from_times(frame: Integers, time_s: Array) -> float:
-    """Return the frames per second of rows with these frame numbers and times; gaps in the numbers do not matter.
+    """Return the frame rate of rows with these frame numbers, which may have gaps, and times.
 
     Raises:
         InputError: The times do not grow with the frames, so there is no rate.

@@ -1,4 +1,4 @@
-"""From key frames or detections of a shot to annotations of all its frames."""
+"""Annotation of all frames of a shot from key frames or detections."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from pasdedeux.people.resolution import resolve_people
 from pasdedeux.skeletons import OP14
 
 MIN_SEEN = 0.5
-"""A keypoint of no more confidence, such as COCO's labelled but hidden one, is a place, but nothing to be tracked."""
+"""Keypoints of at most this confidence, such as COCO's labelled but hidden ones, are known but not tracked."""
 
 
 _MIN_GAP = 5
-"""Frames that lie nearer to each other are corrected by one correction."""
+"""One correction covers frames that are nearer to each other than this."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class AnnotatedShot:
 
     Args:
         frames: People of the shot, with the status of every keypoint.
-        doubt: Of each row the greatest disagreement over its keypoints (row,), a share of the person's size.
+        doubt: Largest disagreement over the keypoints of each row (row,), in sizes of the person.
     """
 
     frames: AnnotatedFrames
@@ -41,11 +41,11 @@ class AnnotatedShot:
 def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
     """Return the keypoints of key frames or of a detector, with people numbered over time.
 
-    Detections are resolved and cleaned as ingest does it.  Key frames stay as they are: a person placed them.
+    Detections are resolved and cleaned as in ingest.  Key frames are not changed, because a person placed them.
 
     Raises:
-        InputError: Nothing is given, several people have no numbers in key frames, or detections are too far apart to
-            be followed.
+        InputError: There are no keypoints, several people in key frames have no numbers, or detections are too far
+            apart to be followed.
     """
     given = given.given()
     if not given.num_rows:
@@ -68,15 +68,15 @@ def with_identities(given: AnnotatedFrames, *, is_key: bool) -> AnnotatedFrames:
 def annotate_shot(
     given: AnnotatedFrames, images: Iterable[Image], first_frame: int, num_frames: int, *, is_key: bool
 ) -> AnnotatedShot:
-    """Fill in every frame of a shot from the given ones.
+    """Fill in all frames of a shot from the given ones.
 
     Args:
-        given: Rows of the shot, with identities and rate; what was filled in beside what is given is filled in anew.
+        given: Rows of the shot, with identities and rate; their filled-in keypoints are filled in again.
         images: BGR images of all frames of the shot.
-        first_frame: Number of the first.
-        num_frames: How many there are.
-        is_key: They are key frames: what a key frame of a person does not show is hidden there.  A detector's missing
-            keypoints may be visible all the same.
+        first_frame: Number of the first frame.
+        num_frames: Number of frames.
+        is_key: Whether they are key frames, whose missing keypoints are hidden; keypoints that a detector misses may be
+            visible.
     """
     assert given.rate_hz is not None
     names = get_keypoint_layout(given.layout).keypoint_names
@@ -107,7 +107,7 @@ def annotate_shot(
             follower.add(grey)
             yield grey
 
-    # Pixel centres: the middle of a pixel of the smaller image is the middle of those it stands for.
+    # Pixel centres: the centre of a pixel of the smaller image is the centre of the pixels it replaces.
     tracks = track_points(
         passing(),
         (flat + 0.5) * scale - 0.5,
@@ -145,16 +145,16 @@ def correct_keypoint(
     *,
     is_key: bool,
 ) -> AnnotatedShot:
-    """Return a shot with a keypoint where a person placed it, tracked anew from there to where it is known.
+    """Place a keypoint of a shot, and track it again from there to the known frames on both sides.
 
     Args:
         shot: The shot.
         frame: The frame.
         person_id: The person.
         keypoint: Index of the keypoint.
-        point_px: Its place (2,).
-        images: Gives the BGR images from one frame up to another, of the shot alone.
-        is_key: As `annotate_shot` takes it.
+        point_px: Its new place (2,).
+        images: Returns the BGR images from one frame up to another, within the shot.
+        is_key: As in `annotate_shot`.
 
     Raises:
         InputError: The person is not in the frame.
@@ -176,8 +176,8 @@ def correct_keypoint(
         corrected.rows(is_near).given(), images(first, last + 1), first, last + 1 - first, is_key=is_key
     )
     assert part.frames.status is not None
-    # Only this keypoint is taken from the part: it is lost where the part has none, and a frame in which nothing else
-    # of the person is seen gains or loses its row with it.
+    # Only this keypoint is taken from the part.  It is missing if the part lacks it, and frames in which nothing else
+    # of the person is seen gain or lose their row.
     near = np.flatnonzero(is_near)
     px[near, keypoint] = np.nan
     is_gained = ~np.isin(part.frames.frame, frames.frame[near])
@@ -214,7 +214,7 @@ def _rows(given: AnnotatedFrames, filled: FilledPoints, first_frame: int, people
 
 
 def _boxes(known_px: Array, scale: float) -> Array:
-    """Return the boxes (frame, person, 2, 2) of people in the smaller image, between the frames that show them."""
+    """Return the boxes (frame, person, 2, 2) of people in the smaller image, interpolated between known frames."""
     is_known = np.isfinite(known_px[..., 0])
     boxes = np.full((*known_px.shape[:2], 2, 2), np.nan)
     frames = np.arange(len(known_px))
@@ -242,9 +242,9 @@ def _median(values: Array, otherwise: float) -> float:
 
 
 def frames_to_correct(shot: AnnotatedShot, count: int) -> list[int]:
-    """Return the frames whose correction helps most, most first: where tracks and known places disagree most.
+    """Return the frames whose correction helps most, most first: those with the largest doubt.
 
-    Frames of which one corrects the other are named once.
+    Of frames that one correction covers, only one is returned.
     """
     number, at = np.unique(shot.frames.frame, return_inverse=True)
     doubt = np.zeros(len(number))

@@ -1,10 +1,10 @@
-"""The motion of a hand-held camera, found from the background while the images of a shot pass by.
+"""The motion of a hand-held camera, estimated from the background while the images of a shot are read.
 
-Corners outside the people are followed from a reference image by pyramidal Lucas-Kanade flow.  Those that move alike
-are chosen by RANSAC with a homography, and rotation and zoom of the camera are fitted to them.  Every image is compared
-with the reference itself, so that errors do not add up; where too few of its corners are left, the image before becomes
-the next reference.  A camera that also changes its place is not supported: near and far things then move differently,
-and few corners fit one homography.
+Corners outside the people are followed from a reference image by pyramidal Lucas-Kanade flow.  RANSAC selects those
+that fit one homography, and rotation and zoom of the camera are fitted to them.  Every image is compared with the
+reference, so that errors do not accumulate; if too few of its corners are left, the previous image becomes the
+reference.  A camera that changes its position is not supported: near and far things move differently, and few corners
+fit one homography.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ _LARGEST_PX = 640
 """Longer side of the images in which corners are followed."""
 _NUM_CORNERS, _MIN_CORNERS = 300, 12
 _MIN_STRENGTH, _BLOCK_PX = 3e-4, 3
-"""Weakest corners, by the smaller eigenvalue of their gradients: 2 grey levels a pixel.  Those of a plain backdrop are
-compression and shadows, which move with the people: 3e-5."""
+"""Minimum strength of corners, the smaller eigenvalue of their gradients: 2 grey levels a pixel.  On a plain backdrop
+there are only corners of compression and shadows, which move with the people: 3e-5."""
 _WINDOW_PX, _NUM_LEVELS = 15, 3
 _MAX_MISFIT_PX = 1.0
 """Distance within which a corner fits a homography."""
 _MIN_FITTING, _MIN_KEPT = 0.3, 0.25
-"""Share of the followed corners that fit a homography that is believed; share of a reference's corners that fit the
-image, below which another reference is taken."""
+"""Minimum shares of corners that fit a homography: of the followed ones, and of all in the reference, below which
+another reference is taken."""
 _PADDING = 0.15
-"""People are so much larger than the box of their keypoints, on each side, a share of its longer side."""
+"""Margin of people around the box of their keypoints, on each side, a share of its longer side."""
 _STILL_SHARE = 0.004
-"""A camera that moves the image by less, a share of its diagonal, is still: tracking errs as much."""
+"""Motion of the image below which a camera is still, a share of its diagonal: the error of tracking."""
 _MAX_LOST = 0.1
-"""Share of the images without a homography up to which the motion is known."""
+"""Maximum share of images without a homography for the motion to be known."""
 
 LOST = "the camera's motion is not known: too little of the background is seen, or the camera changes its place"
 
 
 class CameraFollower:
-    """Finds the motion of the camera while the grey images of a shot pass by; two of them are kept.
+    """Estimates the motion of the camera while the grey images of a shot are added; two of them are kept.
 
     Args:
         boxes_px: Low and high corners of the people (frame, person, 2, 2) in pixels of these images, NaN for nobody.
-        focal_px: Focal length in pixels of these images; if it is not known, that of a common camera.
+        focal_px: Focal length in pixels of these images; None for that of a common camera.
     """
 
     def __init__(self, boxes_px: Array, focal_px: float | None = None) -> None:
@@ -58,7 +58,7 @@ class CameraFollower:
         self._reference: Any = None
 
     def add(self, grey: Image) -> None:
-        """Take the next image."""
+        """Add the next image."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         self._scale = min(1.0, _LARGEST_PX / max(grey.shape))
@@ -79,9 +79,9 @@ class CameraFollower:
             self._refer(*self._last)
 
     def motion(self, first_frame: int) -> tuple[CameraMotion | None, bool]:
-        """Return the motion in pixels of the images that were added, and whether too many gave none.
+        """Return the motion in pixels of the added images, and whether it is unknown.
 
-        There is no motion where the camera is still, or where it is not known.
+        The motion is None if the camera is still, or if it is unknown.
         """
         turns = np.array(self._turns).reshape(-1, 4)
         size = np.array(self._small_px, dtype=np.float64)
@@ -115,7 +115,7 @@ class CameraFollower:
         self._reference = (grey, corners, turn, corners.copy()) if len(corners) >= _MIN_CORNERS else None
 
     def _follow(self, grey: Image, is_free: Image) -> Array | None:
-        """Return the turn (4,) of the camera since the first image, see `_homography`; None where it cannot be told."""
+        """Return the turn (4,) of the camera since the first image, see `_homography`; None if it is unknown."""
         import cv2
         from scipy.optimize import least_squares
 
@@ -149,13 +149,13 @@ class CameraFollower:
             return (apply(self._homography(tried), seen) - wanted[fitting]).ravel()
 
         new_turn = np.asarray(least_squares(misfit_px, self._turns[-1], method="lm").x, dtype=np.float64)
-        # Corners that people hide, or that were lost, are looked for where the image now has them.
+        # Corners that were hidden or lost are searched next at their predicted places in this image.
         places = apply(inverse(self._homography(new_turn)), wanted).astype(np.float32)
         self._reference = (image, corners, turn, places)
         return new_turn
 
     def _homography(self, turn: Array) -> Array:
-        """Return the matrix (3, 3) that takes pixels of an image to those of the first one.
+        """Return the matrix (3, 3) that maps pixels of an image to those of the first one.
 
         Args:
             turn: Rotation vector of the camera since the first image (x right, y down), and log of its zoom (4,).

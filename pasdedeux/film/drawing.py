@@ -1,4 +1,4 @@
-"""People drawn over the images of a film, with faces blurred, one image or many on a sheet."""
+"""Drawings of people over images of film, with blurred faces; sheets and short clips of them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from pasdedeux.people.identity import body_size_px
 from pasdedeux.skeletons import OP14
 
 _COLOURS = ((60, 60, 230), (230, 140, 40), (60, 190, 60), (200, 60, 200), (40, 200, 220))
-"""Of people in turn, BGR."""
+"""Colours of people in turn, BGR."""
 _FACE_SHARE = 0.085
-"""Half the height of a face with its hair, a share of the body's; what is blurred is half as much again."""
+"""Half the height of a face with hair, a share of the body height; the blurred radius is 1.5 times that."""
 _CELL_PX = 320
 
 
 def draw_people(image: Image, frames: AnnotatedFrames, number: int, *, has_faces: bool = False) -> Image:
-    """Return an image of a film with the people of its frame drawn: known joints filled, others as rings.
+    """Return an image with the people of its frame drawn: tracked and known joints filled, others as rings.
 
     Args:
         image: BGR.
-        frames: Annotations; those of the frame are drawn.
+        frames: Annotations of the film.
         number: The frame.
-        has_faces: Faces are shown, not blurred.
+        has_faces: Show faces instead of blurring them.
     """
     import cv2  # here: a quarter of a second that others need not wait for
 
@@ -50,7 +50,7 @@ def draw_people(image: Image, frames: AnnotatedFrames, number: int, *, has_faces
 
 
 def blur_faces(image: Image, frames: AnnotatedFrames, number: int) -> Image:
-    """Return an image of a film with the faces of the people of its frame blurred."""
+    """Return an image with the faces of the people of its frame blurred."""
     blurred = image.copy()
     rows = np.flatnonzero(frames.frame == number)
     op14 = get_keypoint_layout(frames.layout).derive(OP14.name, frames.keypoints_px[rows], frames.confidence[rows])
@@ -79,7 +79,7 @@ def contact_sheet(images: Sequence[Image], titles: Sequence[str], *, num_columns
 
 
 def moving_svg(images: Sequence[Image], rate_hz: float) -> bytes:
-    """Return images of one size as an SVG that shows one after the other, over and over; one image stands still."""
+    """Return images of one size as an SVG that shows them in a loop; a single image is static."""
     import cv2  # here: a quarter of a second that others need not wait for
 
     height, width = images[0].shape[:2]
@@ -101,7 +101,7 @@ def moving_svg(images: Sequence[Image], rate_hz: float) -> bytes:
 
 
 def _blur_face(image: Image, op14_px: Array, height_px: float) -> None:
-    """Blur the face of a person in place: round the head, or above the neck where the head is not seen."""
+    """Blur the face of a person in place: around the head, or above the neck if the head is not seen."""
     import cv2  # here: a quarter of a second that others need not wait for
 
     head, neck = op14_px[OP14.index("head")], op14_px[OP14.index("neck")]
@@ -122,6 +122,6 @@ def _blur_face(image: Image, op14_px: Array, height_px: float) -> None:
 
 
 def _pixel(point: Array) -> tuple[int, int]:
-    """Return a pixel that OpenCV can take, also far outside."""
+    """Round to a pixel, limited to coordinates that OpenCV accepts."""
     x, y = np.clip(np.round(point), -30_000, 30_000).astype(int).tolist()
     return x, y

@@ -1,8 +1,7 @@
-"""Joints between where they are known: tracks from both sides joined with shape-preserving interpolation.
+"""Filling gaps between known joints: tracks from both sides combined with shape-preserving interpolation.
 
-At the other end of a gap a track has come to some place, and the joint is known to be at another: that drift says how
-good the track was, and is spread over the gap.  Both tracks so bridged and the interpolation are weighted by the
-inverse of their variances, in body heights.
+At the end of a gap a track differs from the known joint.  This drift measures its quality, and is distributed over the
+gap.  Both corrected tracks and the interpolation are weighted by their inverse variances, in body heights.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from pasdedeux.skeletons.skeleton import ARM, LEG
 
 # Lengths are shares of the size of the person in the image (about its height).
 _TRACK_DEVIATION, _CURVE_DEVIATION = 0.015, 0.06
-"""Deviation of a track without drift, and of the interpolation in the middle of a gap: tuned on rendered salsa."""
+"""Deviation of a track without drift, and of interpolation in the middle of a gap: tuned on rendered salsa."""
 _MAX_INTERPOLATED_S, _MAX_ONE_SIDED_S = 1.0, 0.3
-"""Gaps that are longer are only filled where a track runs through; a track with one known end is believed so long."""
+"""Maximum gap for interpolation without tracks; maximum length of a track with one known end."""
 _MAX_DRIFT = 0.15
-"""A track that ends farther than this from the known place runs through nothing."""
+"""Maximum drift of a reliable track."""
 _DOUBTED = 0.06
-"""Deviation at which a filled joint has half the confidence of its ends."""
+"""Deviation at which the confidence of a filled joint is half that of its ends."""
 _LEAST_CONFIDENCE = 0.25
-"""Of a filled joint: above what ingest takes for missing."""
+"""Minimum confidence of a filled joint, above the threshold of ingest."""
 _MIN_FOLLOWED = 3
-"""Joints of a person that are followed, by which the others are taken along."""
+"""Minimum number of followed joints of a person by which the others are moved along."""
 _MAX_STRETCH = 1.1
-"""A limb may be so much longer than at any of its known places."""
+"""Maximum length of a filled limb relative to its known maximum."""
 _LIMBS = [bone for side in SIDES for limb in (ARM, LEG) for bone in pairwise(f"{side}_{joint}" for joint in limb)]
 
 
@@ -44,8 +43,7 @@ class FilledPoints:
         px: (frame, point, 2), NaN where missing.
         confidence: (frame, point), 0 where missing.
         status: (frame, point) of `KeypointStatus`.
-        doubt: How far tracks and known places disagree (frame, point), a share of the person's size; 0 where nothing
-            says so.
+        doubt: Disagreement of tracks and known places (frame, point), in sizes of the person; 0 if there is none.
     """
 
     px: Array
@@ -70,12 +68,12 @@ def fill_points(
     Args:
         known_px: (frame, point, 2), NaN where not known.
         confidence: (frame, point), 0 where not known.
-        status: What known places are (frame, point).
+        status: Status of known places (frame, point).
         tracks: Tracks of the same points.
         size_px: Size of each point's person (point,).
         rate_hz: Frames per second.
-        is_hidden: Where a point is known not to be seen (frame, point); nothing goes through there.
-        person: Person of each point (point,), with whom it moves where it cannot be followed.
+        is_hidden: Where a point is known to be hidden (frame, point); no track passes there.
+        person: Person of each point (point,), with which it moves if it cannot be followed.
     """
     px, sure, kind = known_px.copy(), confidence.copy(), status.copy()
     doubt = np.zeros(confidence.shape)
@@ -109,7 +107,7 @@ def fill_points(
                 reach = _MAX_ONE_SIDED_S * rate_hz
                 after = inside - start if start >= 0 else np.inf
                 before = stop - inside if stop < len(px) else np.inf
-                # Where it is known to be hidden, and behind that as seen from its known place, it is not.
+                # Hidden frames and those beyond them, as seen from the known place, are not filled.
                 is_cut = np.logical_or.accumulate(hidden), np.logical_or.accumulate(hidden[::-1])[::-1]
                 for (_, variance), away, cut in zip(candidates, (after, before), is_cut, strict=True):
                     variance[cut | (away > reach)] = np.inf
@@ -126,18 +124,18 @@ def fill_points(
             kind[inside[~is_filled], point] = KeypointStatus.MISSING
         for reached in (forward, backward):
             drift = np.linalg.norm(reached[known] - known_px[known, point], axis=-1) / size
-            is_found = status[known, point] != KeypointStatus.ANNOTATED  # what a person placed is not doubted
+            is_found = status[known, point] != KeypointStatus.ANNOTATED  # annotations are not doubted
             doubt[known, point] = np.maximum(doubt[known, point], is_found * np.nan_to_num(drift))
     return FilledPoints(px, np.where(kind == KeypointStatus.MISSING, 0.0, sure), kind, doubt)
 
 
 def shorten_limbs(filled: FilledPoints, joint_names: tuple[str, ...]) -> Array:
-    """Return the places (frame, point, 2) with filled limbs no longer than they were known to be in this shot.
+    """Return the places (frame, point, 2) with filled limbs limited to about their known lengths in this shot.
 
-    The end of a limb that is too long is moved towards its beginning; known places stay.
+    The end of a limb that is too long is moved towards its start; known places do not change.
 
     Args:
-        filled: Points person by person, of each all joints.
+        filled: Points, person by person with all joints of each.
         joint_names: Joints of a person.
     """
     px = filled.px.copy()
@@ -158,10 +156,9 @@ def shorten_limbs(filled: FilledPoints, joint_names: tuple[str, ...]) -> Array:
 
 
 def _paths(known_px: Array, forward: Array, person: Integers) -> Array:
-    """Return how the person of each point moves (frame, point, 2), from 0, by the joints that are followed.
+    """Return the path of each point's person (frame, point, 2), from 0, by the joints that are followed.
 
-    The step from a frame to the next is the median of the steps of these joints; it is 0 where there are fewer than
-    three.
+    The step between frames is the median of the steps of these joints, or 0 if there are fewer than three.
     """
     steps = forward[1:] - np.where(np.isfinite(known_px), known_px, forward)[:-1]
     paths = np.zeros(known_px.shape)
@@ -175,7 +172,7 @@ def _paths(known_px: Array, forward: Array, person: Integers) -> Array:
 
 
 def _curve(known: Integers, places: Array, num_frames: int) -> Array:
-    """Return shape-preserving interpolation (frame, 2), NaN outside."""
+    """Return the shape-preserving interpolation (frame, 2), NaN outside."""
     if len(known) == 1:
         return np.full((num_frames, 2), np.nan)
     from scipy.interpolate import PchipInterpolator  # here: others need not wait for it
@@ -193,17 +190,17 @@ def _bridged(
     size_px: float,
     is_two_sided: bool,
 ) -> tuple[Array, Array]:
-    """Return the places (inside, 2) of a track with its drift spread over the gap, and their variances (inside,).
+    """Return the places (inside, 2) of a track with its drift distributed over the gap, and variances (inside,).
 
     Args:
         reached: The track (frame, 2).
         known: Known places (frame, 2).
         inside: Frames of the gap.
-        share: How far each is from where the track begins, from 0 to 1.
+        share: Position of each in the gap, from 0 at the start of the track to 1.
         start: Known frame at which the track begins.
-        stop: The one at which it ends.
+        stop: Known frame at which it ends.
         size_px: Size of the person.
-        is_two_sided: Both ends are known, and nothing between them says that the point is hidden.
+        is_two_sided: Whether both ends are known and the point is not hidden between them.
     """
     place, variance = reached[inside].copy(), np.full(len(inside), _TRACK_DEVIATION**2)
     drift = reached[stop] - known[stop] if is_two_sided else np.full(2, np.nan)

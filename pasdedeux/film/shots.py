@@ -1,4 +1,4 @@
-"""Where the shots of a film begin, and its frames on a constant rate."""
+"""Detection of the shots of a film, and resampling to a constant rate."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pasdedeux.formats.camera_motion import CameraMotion
 
 _THUMB = (32, 24)
 _MIN_CHANGE = 0.05
-"""Mean change of a thumbnail's pixels, of 1, that a cut exceeds; salsa before a turning camera comes to 0.025."""
+"""Minimum mean change of a thumbnail's pixels (0 to 1) at a cut; salsa with a turning camera has 0.025."""
 _CHANGE_RATIO = 3.0
-"""A cut changes so many times more than the frames round it."""
+"""Minimum ratio of the change at a cut to that of the frames around it."""
 _AROUND = 6
 _MAX_JITTER = 0.5
-"""Time stamps of a constant rate stay within this part of a frame's time of their places."""
+"""Maximum deviation of time stamps of a constant rate, in frame times."""
 
 
 class ShotFinder:
-    """Finds cuts while the images of a film pass by; of the images thumbnails of the last two are kept."""
+    """Finds cuts while the images of a film are added; only thumbnails of the last two are kept."""
 
     def __init__(self) -> None:
         self._last: list[Array] = []
         self._change: list[tuple[float, float]] = []
 
     def add(self, image: Image) -> None:
-        """Take the next image."""
+        """Add the next image."""
         import cv2  # here: a quarter of a second that others need not wait for
 
         thumb = cv2.resize(image, _THUMB, interpolation=cv2.INTER_AREA).astype(np.float64) / 255.0
@@ -40,7 +40,7 @@ class ShotFinder:
     def starts(self) -> list[int]:
         """Return the first frame of every shot: 0, and those after hard cuts.
 
-        A cut changes the image far more than the frames round it do, and for good: a flash does not.
+        At a cut the image changes far more than around it, and permanently, unlike a flash.
         """
         step, leap = np.array(self._change).reshape(-1, 2).T
         frames = [0]
@@ -53,23 +53,23 @@ class ShotFinder:
 
 
 def constant_rate_hz(time_s: Array) -> tuple[float, bool]:
-    """Return the typical rate of time stamps (frame,), at least two and growing, and whether they keep to it."""
+    """Return the typical rate of two or more growing time stamps (frame,), and whether it is constant."""
     typical_s = float(np.median(np.diff(time_s)))
     mean_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    # Containers round time stamps, which the mean is free of.
+    # Containers round time stamps; the mean is not affected.
     step_s = mean_s if abs(mean_s - typical_s) < 0.02 * typical_s else typical_s
     places = np.arange(len(time_s)) - (time_s - time_s[0]) / step_s
     return 1.0 / step_s, bool(np.ptp(places) <= 2.0 * _MAX_JITTER)
 
 
 def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, rate_hz: float) -> AnnotatedFrames:
-    """Return annotations of film of a variable rate at a constant one; frame n is then at n / rate seconds.
+    """Resample annotations of film of a variable rate to a constant one; frame n is then at n / rate seconds.
 
-    Keypoints lie between those of the film's frames before and after, and are missing where one of them is.
+    Keypoints are interpolated between the film's frames before and after, and missing if one of them is.
 
     Args:
-        frames: Rows of one shot, a person's without gaps where they are seen.
-        first_frame: Frame of the film that the first time stamp is of.
+        frames: Rows of one shot, without gaps while a person is seen.
+        first_frame: Frame of the film with the first time stamp.
         time_s: Time stamps (frame,) of the shot.
         rate_hz: The rate.
     """
@@ -88,7 +88,7 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
     number, person_id, before, after, share = (np.concatenate(column) for column in zip(*parts, strict=True))
     low, high = frames.keypoints_px[before], frames.keypoints_px[after]
     nearest = np.where(share < 0.5, before, after)
-    # A frame that lies on the grid needs no other.
+    # A frame on the grid needs no second one.
     px = np.where(share[:, None, None] < 1e-6, low, low + share[:, None, None] * (high - low))
     is_seen = np.isfinite(px).all(axis=-1)
     return replace(
@@ -111,7 +111,7 @@ def at_constant_rate(frames: AnnotatedFrames, first_frame: int, time_s: Array, r
 def _placed(
     frames: AnnotatedFrames, number: Integers, first_frame: int, time_s: Array, rate_hz: float
 ) -> dict[str, CameraMotion]:
-    """Return the motion of the camera at the frames of a constant rate."""
+    """Return the motion of the camera, resampled to the frames of the constant rate."""
     if not len(number):
         return {}
     wanted = np.arange(number.min(), number.max() + 1)

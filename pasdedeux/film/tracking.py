@@ -1,9 +1,9 @@
-"""Points of film followed from where they are known, forward and backward, by pyramidal Lucas-Kanade flow.
+"""Tracking of points in film from known places, forward and backward, by pyramidal Lucas-Kanade flow.
 
-A joint is followed by five points: itself and four round it.  Each step goes back to the image before, and the three
-points that come back nearest to where they were move the joint, by their median (forward-backward check).  A track is
-lost where they do not come back.  Film is streamed: a block of images is held at a time, whose last image is the first
-of the next one.
+A joint is followed by five points: itself and four around it.  Every step is checked by tracking back to the image
+before: the median displacement of the three points that return nearest to their origin moves the joint
+(forward-backward check), and the track is lost if they do not return.  Film is streamed: one block of images is held at
+a time, whose last image is the first of the next block.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from pasdedeux.arrays import Array, Flags
 Image = npt.NDArray[np.uint8]
 
 TRACKED_SIZE_PX = 240.0
-"""People are tracked in images in which they are about so tall; larger ones are made smaller."""
+"""Approximate height of people in the images for tracking; larger images are reduced."""
 MAX_BLOCK = 48
-"""Images held at a time; of a longer gap only so much is tracked backward."""
+"""Number of images held at a time, and so the longest part of a gap that is tracked backward."""
 _WINDOW_PX, _NUM_LEVELS = 17, 3
 _AROUND = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)], dtype=np.float64)
 _AROUND_SHARE, _NUM_BEST = 0.02, 3
-"""Distance of the points round a joint, a share of the person's size; how many of the five move it."""
+"""Distance of the points around a joint, a share of the person's size; number of the five that move it."""
 _MAX_RETURN_SHARE = 0.02
-"""A step that comes back farther than this from where it began, a share of the person's size, has lost the point."""
+"""Maximum forward-backward error of a step, a share of the person's size; beyond it the point is lost."""
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where points are that were followed from the known place before, and from the one after.
+    """Places of points that were followed from the known place before, and from the one after.
 
     Args:
-        forward: (frame, point, 2), NaN where lost or where nothing was known before; at the next known place it says
-            where the track has come to, which tells how good it is.
+        forward: (frame, point, 2), NaN where lost or before the first known place; at the next known frame it has the
+            end of the track, which shows its quality.
         backward: The same, back in time.
     """
 
@@ -53,11 +53,11 @@ def track_points(
     """Follow points from where they are known.
 
     Args:
-        images: Grey images, one for each frame, in which people are not taller than some `TRACKED_SIZE_PX`.
+        images: Grey images, one for each frame, in which people have about `TRACKED_SIZE_PX` or less.
         known_px: Known places (frame, point, 2) in these images; NaN where not known.
-        is_start: Known places (frame, point) that are seen in the image, so that tracks begin there.
+        is_start: Known places (frame, point) that are visible, so that tracks begin there.
         size_px: Size of the person of each point (point,).
-        is_checked: Also from one known place to the next, if they are in successive frames: a detector's may be wrong.
+        is_checked: Also track between known places of successive frames, because those of a detector may be wrong.
     """
     forward, backward = np.full((2, *known_px.shape), np.nan)
     is_known = np.asarray(np.isfinite(known_px).all(axis=-1))
@@ -68,18 +68,18 @@ def track_points(
             for before, after in pairwise(numbers):
                 here, there = first + before, first + after
                 place = np.where(is_known[here, :, None], known_px[here], reached[here])
-                # A known place that ends a track is reached once more.
+                # The known place that ends a track is tracked to as well.
                 is_wanted = is_start[here] & (is_checked | ~is_known[there])
                 is_moved = np.where(is_known[here], is_wanted, np.isfinite(place[:, 0]))
                 chosen = np.flatnonzero(is_moved)
                 if len(chosen):
                     reached[there, chosen] = _step(block[before], block[after], place[chosen], size_px[chosen])
-        block.clear()  # or these images would be held until the next block is full
+        block.clear()  # else these images would be held until the next block is full
     return Tracks(forward, backward)
 
 
 def _blocks(images: Iterable[Image], begins: set[int]) -> Iterator[tuple[int, list[Image]]]:
-    """Yield blocks of images with the number of their first; they end where one may begin, or are full."""
+    """Yield blocks of images with the number of their first; a block ends at a key frame or when it is full."""
     block: list[Image] = []
     first = number = 0
     for number, image in enumerate(images):
@@ -92,7 +92,7 @@ def _blocks(images: Iterable[Image], begins: set[int]) -> Iterator[tuple[int, li
 
 
 def _step(before: Image, after: Image, place_px: Array, size_px: Array) -> Array:
-    """Return where points (point, 2) of an image are in another one; NaN where they are lost."""
+    """Return the places of points (point, 2) of an image in another one; NaN for lost points."""
     import cv2  # here: a quarter of a second that others need not wait for
 
     options: dict[str, Any] = {

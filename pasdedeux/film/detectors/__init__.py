@@ -1,4 +1,4 @@
-"""Detectors of people: one line for each kind of network."""
+"""Detectors of people: the registry of kinds of networks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def load_detector(files: Sequence[bytes]) -> Detector:
     """Return the detector that ONNX files are: one network, or one of boxes and one of the person in a box.
 
     Raises:
-        InputError: A file is no network, of no known kind, or they do not belong together.
+        InputError: A file is not a network of a known kind, or the files do not belong together.
     """
     boxes: Detector | None = None
     chosen: list[tuple[DetectorKind, Network]] = []

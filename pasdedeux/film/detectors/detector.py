@@ -1,4 +1,4 @@
-"""The protocol of people detectors: networks in ONNX files, recognised by outputs, with an adapter for each kind."""
+"""The protocol of people detectors: networks in ONNX files, recognised by their outputs, with an adapter per kind."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _INPUT_TYPES = {"tensor(float)": np.float32, "tensor(int32)": np.int32, "tensor(
 
 
 class Detector(Protocol):
-    """Finds people in the images of a film, one after the other."""
+    """Finds people in successive images of a film."""
 
     def detect(self, image: Image) -> list[Array]:
-        """Return the people of a BGR image: for each a table (K, 3) of x, y in its pixels, and confidence."""
+        """Return the people of a BGR image, each a table (K, 3) of x and y in pixels, and confidence."""
         ...
 
 
@@ -34,8 +34,8 @@ class Network:
 
     Args:
         outputs: Names of its outputs.
-        input_px: Width and height of its images; None where they are free.
-        run: Maps an image (1, 3, height, width), from 0 to 255 or as the kind scales it, to outputs by name.
+        input_px: Width and height of its input images; None if they are free.
+        run: Maps an image (1, 3, height, width), from 0 to 255 or as scaled by the kind, to outputs by name.
     """
 
     outputs: tuple[str, ...]
@@ -45,14 +45,14 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorKind:
-    """A kind of network, in a file of its own with a line in the registry.
+    """A kind of network; each has a file, and a line in the registry.
 
     Args:
         name: Its name.
-        outputs: Outputs that tell it from others.
-        make: Makes the detector from its network; `boxes` is a detector of boxes, where one was given.
-        is_boxes: Its people are boxes, two corners (2, 3), for a network that needs them.
-        usual_px: Width and height of its images where the network leaves them free; None where the kind chooses.
+        outputs: Names of outputs by which it is recognised.
+        make: Makes the detector from its network and, if given, a detector of boxes.
+        is_boxes: Whether it detects boxes, as two corners (2, 3), for a network that needs them.
+        usual_px: Width and height of its images if the network leaves them free; None if the adapter chooses.
     """
 
     name: str
@@ -63,10 +63,10 @@ class DetectorKind:
 
 
 def _unpacked(data: bytes) -> bytes:
-    """Return the ONNX file of a ZIP archive, as model zoos pack one.
+    """Return the ONNX file in a ZIP archive of a model zoo.
 
     Raises:
-        InputError: It is damaged, or holds none or several.
+        InputError: It is damaged, or has no or several ONNX files.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -80,10 +80,10 @@ def _unpacked(data: bytes) -> bytes:
 
 
 def load_network(data: bytes) -> Network:
-    """Load an ONNX file, or the only one in a ZIP archive, on one thread: workers are many.
+    """Load an ONNX file, or the only one in a ZIP archive, to run on one thread, because there are many workers.
 
     Raises:
-        InputError: onnxruntime is not installed, or this is no network of images.
+        InputError: onnxruntime is not installed, or this is not a network for images.
     """
     try:
         import onnxruntime
@@ -126,7 +126,7 @@ def load_network(data: bytes) -> Network:
 
 
 def letterbox(image: Image, size_px: tuple[int, int]) -> tuple[np.ndarray, float]:
-    """Return an image (1, 3, height, width) made to fit at the top left, grey below and right, and its scale."""
+    """Return an image (1, 3, height, width), scaled to fit at the top left and padded with grey, and the scale."""
     import cv2  # here: a quarter of a second that others need not wait for
 
     width, height = size_px
@@ -138,10 +138,10 @@ def letterbox(image: Image, size_px: tuple[int, int]) -> tuple[np.ndarray, float
 
 
 def output(outputs: Mapping[str, np.ndarray], name: str, num_axes: int, last: int | None = None) -> np.ndarray:
-    """Return an output of this many axes, whose last one has this length.
+    """Return an output after checking its number of axes and the length of the last one.
 
     Raises:
-        InputError: It has not, so this is not the kind of network that its outputs are named after.
+        InputError: They differ: the network is not of the kind that its outputs are named after.
     """
     array = np.asarray(outputs[name])
     if array.ndim != num_axes or (last is not None and array.shape[-1] != last):

@@ -11,15 +11,15 @@ from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, l
 from pasdedeux.film.tracking import Image
 
 MIN_SCORE = 0.1
-"""People of a lower score are none; with 0.2 a fifth less of dancing pairs is found in rendered film."""
+"""Minimum score of a person; with 0.2, a fifth less of dancing pairs in rendered film are found."""
 LONGER_PX, _MULTIPLE_PX = 384, 32
-"""Longer side of the image that the network sees, and what its sides are multiples of."""
+"""Longer side of the input image, and the number of which its sides are multiples."""
 _NUM_KEYPOINTS = 17
 
 
 @dataclass(frozen=True)
 class MoveNet:
-    """The adapter; its images are RGB from 0 to 255, keypoints are y, x and score, as shares of the image's sides."""
+    """The adapter; images are RGB from 0 to 255, keypoints are y, x and score, relative to the image's sides."""
 
     network: Network
 

@@ -11,12 +11,12 @@ from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, l
 from pasdedeux.film.tracking import Image
 
 MIN_SCORE = 0.3
-"""People of a lower score are none."""
+"""Minimum score of a person."""
 
 
 @dataclass(frozen=True)
 class Rtmo:
-    """The adapter; its images are BGR from 0 to 255."""
+    """The adapter; images are BGR from 0 to 255."""
 
     network: Network
 

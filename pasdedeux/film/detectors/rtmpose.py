@@ -9,16 +9,16 @@ from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, o
 from pasdedeux.film.tracking import Image
 
 _MEAN, _DEVIATION = np.array([123.675, 116.28, 103.53]), np.array([58.395, 57.12, 57.375])
-"""Of ImageNet's images, RGB, which the network was trained with."""
+"""Mean and deviation of ImageNet's images, RGB, with which the network was trained."""
 _PADDING = 1.25
-"""A box is so much larger than the person."""
+"""Size of a box relative to the person."""
 _BINS_PER_PX = 2.0
 _MIN_SEEN = 0.3
-"""Keypoints that the next image's box is made from where no network gives boxes."""
+"""Minimum confidence of keypoints from which the next box is made, without a network of boxes."""
 
 
 class RtmPose:
-    """The adapter; without boxes it looks for one person: in all of an image, then where the last one showed them."""
+    """The adapter; without boxes it follows one person, first in the whole image, then near the last place."""
 
     def __init__(self, network: Network, boxes: Detector | None) -> None:
         self._network, self._boxes = network, boxes

@@ -17,7 +17,7 @@ _PERSON = 0
 
 @dataclass(frozen=True)
 class Yolox:
-    """The adapter; its images are BGR from 0 to 255."""
+    """The adapter; images are BGR from 0 to 255."""
 
     network: Network
 

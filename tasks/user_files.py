@@ -1,4 +1,4 @@
-"""Files that a user names: every one is opened here, and nothing but a regular file is read."""
+"""Files that users name: all of them are opened here, and only regular files are read."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.npz import get_array, read_npz
 
 MAX_BYTES = 2_000_000_000
-"""Largest file that is read into memory whole; films are streamed and may be larger."""
+"""Largest file that is read into memory as a whole; films are streamed and may be larger."""
 MAX_TEXT_BYTES = 16_000_000
 """Largest study, list of choices or cluster profile."""
 _SETTLED_NS = 2_000_000_000
-"""A file written within this time may be written again without another time of change: clocks of disks have steps."""
+"""A file modified within this time may change again without a new modification time: clocks of disks have steps."""
 _MAX_DIGESTS = 100_000
 _DIGESTS: dict[tuple[int, ...], str] = {}
-"""Digests of files by place on disk, size and times of change: a study is planned several times in a process."""
+"""Digests of files by place on disk, size and modification times: a process plans a study several times."""
 _UNIT = "bvh_metres_per_unit"
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -33,15 +33,15 @@ _KINDS = (
 
 
 def open_file(path: Path) -> BufferedReader:
-    """Open a regular file for reading; what is no regular file is refused at once, also a pipe that nobody fills.
+    """Open a regular file for reading; anything else, such as a pipe that nobody fills, is refused at once.
 
     Raises:
-        InputError: It is not there, is no regular file, or cannot be read.
+        InputError: It does not exist, is not a regular file, or cannot be read.
     """
     try:
         kind = path.stat().st_mode
         if stat.S_ISREG(kind):
-            # Not to wait for a pipe that takes the place of the file between the two calls.
+            # Do not wait if a pipe replaces the file between the two calls.
             file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
             kind = os.fstat(file.fileno()).st_mode
             if stat.S_ISREG(kind):
@@ -76,7 +76,7 @@ def read_text_file(path: Path) -> str:
     """Return the text of a study, a list of choices or a profile.
 
     Raises:
-        InputError: As `read_file`, or it is no text in UTF-8.
+        InputError: As `read_file`, or it is not text in UTF-8.
     """
     try:
         return read_file(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8").replace("\r\n", "\n")
@@ -85,11 +85,11 @@ def read_text_file(path: Path) -> str:
 
 
 def digest_of(path: Path, data: bytes | None = None) -> str:
-    """Return the sha256 of a file of any size; a process computes it once while the file stays as it is.
+    """Return the sha256 of a file of any size; cached in the process while the file does not change.
 
     Args:
         path: The file.
-        data: Its bytes, where they have been read.
+        data: Its bytes, if they were read.
 
     Raises:
         InputError: As `open_file`.
@@ -111,7 +111,7 @@ def digest_of(path: Path, data: bytes | None = None) -> str:
 
 
 def exported_unit_m(path: Path) -> float | None:
-    """Return the metres per unit of a BVH file as the npz says that an export writes beside it; None without one."""
+    """Return the metres per unit of a BVH file from the npz that an export writes beside it; None without one."""
     if path.suffix.lower() != ".bvh" or not (beside := path.with_suffix(".npz")).is_file():
         return None
     try:

@@ -27,7 +27,7 @@ __all__ = ["STAGE", "IngestParameters", "plan", "run_shard"]
 
 
 def _say_skipped(shard: Shard, store: Store, parameters: SkippedParameters) -> ArtifactRef:
-    """Commit nothing but which files could not be read, and why."""
+    """Commit only the names of files that could not be read, with the reason."""
     skipped = parameters.skipped
     words = f"{', '.join(skipped)} skipped: {next(iter(skipped.values()))}"
     facts = SkippedFacts(takes=(), skipped=tuple(skipped.values()))
@@ -35,7 +35,7 @@ def _say_skipped(shard: Shard, store: Store, parameters: SkippedParameters) -> A
 
 
 def _run_film(shard: Shard, store: Store, parameters: FilmParameters) -> ArtifactRef:
-    """Annotate a shot; one in which nobody is seen, such as the sea between two dances, is skipped."""
+    """Annotate a shot; a shot in which nobody is seen, such as a landscape between two dances, is skipped."""
     try:
         return run_film(shard, store, parameters)
     except NobodyError as error:

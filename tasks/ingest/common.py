@@ -1,4 +1,4 @@
-"""What all parts of ingest share: the stage's name and version, names of sources, and names that a registry knows."""
+"""Shared parts of ingest: name and version of the stage, names of sources, and names in registries."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from tasks.stage import StageName
 
 INGEST = StageName("ingest", 24)
 ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
-"""Names of takes and of sources."""
+"""Pattern of names of takes and sources."""
 
 
 def one_of(names: Iterable[str]) -> AfterValidator:
-    """Refuse a name that is neither in a registry nor "auto"; the allowed ones are listed."""
+    """Return a validator that accepts names in a registry and "auto"; its error lists the allowed names."""
     allowed = ("auto", *names)
 
     def check(name: str) -> str:

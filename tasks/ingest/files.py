@@ -1,4 +1,4 @@
-"""Source files: read, digested, and read again as they were planned with."""
+"""Source files: reading and digesting them, and reading them again after planning."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from tasks.user_files import digest_of, open_file, read_file
 
 @dataclass(frozen=True)
 class LoadedFile:
-    """A file's bytes with its path and digest."""
+    """The bytes of a file with its path and digest."""
 
     file: SourceFile
     data: bytes
 
 
 def load_file(path: Path) -> LoadedFile:
-    """Read and hash a file; an InputError as of `read_file`."""
+    """Read and hash a file; raises an InputError as `read_file`."""
     data = read_file(path)
     return LoadedFile(file=SourceFile(path=str(path), sha256=digest_of(path, data)), data=data)
 
 
 def find_file(path: Path) -> SourceFile:
-    """Hash a file without holding it in memory; an InputError as of `open_file`."""
+    """Hash a file without loading it into memory; raises an InputError as `open_file`."""
     return SourceFile(path=str(path), sha256=digest_of(path))
 
 
 def read_start(path: Path) -> bytes:
-    """Return as much of a file as its format is told by: all of an archive; an InputError as of `read_file`."""
+    """Return the part of a file that format recognition needs: all of an archive; raises as `read_file`."""
     with open_file(path) as file:
         start = file.read(LOOKED_AT_BYTES)
     return read_file(path) if is_npz(start) else start
 
 
 def read_again(file: SourceFile) -> bytes:
-    """Return the bytes of a file that was planned with.
+    """Return the bytes of a file with which the run was planned.
 
     Raises:
-        InputError: It changed since.
+        InputError: It has changed since.
     """
     loaded = load_file(Path(file.path))
     if loaded.file.sha256 != file.sha256:

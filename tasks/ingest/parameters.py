@@ -1,4 +1,4 @@
-"""The `[ingest]` section of a study: sources, and facts about them that their files lack."""
+"""The `[ingest]` section of a study: sources, and facts that their files lack."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tasks.stage import Parameters
 
 
 class SkippedParameters(Parameters):
-    """What of a folder cannot be read, or not yet: why, by the name of the take or of the file."""
+    """Files of a folder that cannot be read (yet): the reason by name of the take or file."""
 
     skipped: dict[str, str]
 
@@ -70,16 +70,16 @@ class IngestParameters(Parameters):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        # What lies in a folder is looked up when its path is known, while planning.
+        # Folders are listed in planning, when their paths are known.
         if all(family.takes is not None for family in self.pairs.values()):
             self.check_names()
         return self
 
     def check_names(self) -> None:
-        """Refuse names of takes that are used twice, or are none.
+        """Refuse names that are used twice, or refer to nothing.
 
         Raises:
-            ValueError: Says which, and what is there.
+            ValueError: The message has the name and the known ones.
         """
         ids = self.take_ids()
         for kind, names in (("take", ids), ("annotation source", [source.id for source in self.sources_2d])):
@@ -115,7 +115,7 @@ class IngestParameters(Parameters):
             raise ValueError(f"take '{both[0]}' is held out and cannot be a prior take")
 
     def resolved_duets(self) -> tuple[DuetOptions, ...]:
-        """Return the duets: those named, or the default ones when nothing else comes in."""
+        """Return the named duets, or the default ones if there is no other source."""
         if self.duets is not None:
             return tuple(take for entry in self.duets for take in entry.takes())
         if self.takes or self.pairs or self.sources_2d:
@@ -123,11 +123,11 @@ class IngestParameters(Parameters):
         return tuple(DuetOptions(name=name) for name in DEFAULT_DUETS)
 
     def take_ids(self) -> list[str]:
-        """Return the names of all takes, in the order in which they are planned."""
+        """Return the names of all takes in the order of planning."""
         return [take_id for take_id, _ in self._takes()]
 
     def awaited(self) -> tuple[str, ...]:
-        """Return the takes held out or for priors that are not there yet and can come into a watched folder."""
+        """Return held-out and prior takes that are missing but may be added to a watched folder."""
         ids, named = set(self.take_ids()), dict.fromkeys([*self.held_out, *self.prior])
         return tuple(
             name for name in named if name not in ids and any(pair.may_bring(name) for pair in self.pairs.values())

@@ -1,4 +1,4 @@
-"""The plan of the ingest stage: a shard per take, virtual video over it, a shard per source of 2D poses."""
+"""The plan of the ingest stage: a shard per take, virtual video over it, and a shard per source of 2D poses."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
     """Plan all shards of the stage, after checking every source file.
 
     Raises:
-        InputError: A file is missing or mangled, the files of a pair do not fit, or something must be said in the
-            study and is not; names the take and the file.
+        InputError: A file is missing or damaged, the files of a pair do not fit, or the study lacks a needed statement;
+            the message names the take and the file.
     """
     try:
         parameters.check_names()
@@ -57,10 +57,10 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
 
 
 def _calibrations(parameters: IngestParameters) -> dict[str, tuple[str, str]]:
-    """Return the calibrations that sources state, and the table of each camera in them, by source.
+    """Return for each source its stated calibration, and the table of its camera in that.
 
     Raises:
-        InputError: A file is missing or mangled, or does not fit the cameras.
+        InputError: A file is missing or damaged, or does not fit the cameras.
     """
     found: dict[str, tuple[str, str]] = {}
     for source in parameters.sources_2d:

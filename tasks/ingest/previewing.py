@@ -1,4 +1,4 @@
-"""A preview of takes: the seconds in which people are nearest to each other, in place of the first ones."""
+"""Preview of takes: the seconds in which people are nearest to each other, instead of the first ones."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tasks.ingest.takes.run import capture_take
 from tasks.stage import StageInputs
 
 _MOST_TAKES = 12
-"""Of more takes the first seconds are shown: each is read as a whole to find those of most contact."""
+"""With more takes, the first seconds are shown, because finding those of most contact needs whole takes."""
 
 
 def with_most_contact(parameters: IngestParameters, seconds: float) -> IngestParameters:
-    """Return the section with each take of files cut to the seconds of most contact, where no frames are stated.
+    """Return the section with each take of files cut to the seconds of most contact, unless frames are stated.
 
     Raises:
-        InputError: As planning and ingest have it.
+        InputError: As in planning and ingest.
     """
     if len(parameters.takes) > _MOST_TAKES:
         return parameters
@@ -45,12 +45,12 @@ def _cut(whole: IngestParameters, take: TakeOptions, seconds: float) -> TakeOpti
 
 
 def nearest_seconds(pair_m: Array, rate_hz: float, seconds: float) -> float:
-    """Return where so many seconds begin in which the surfaces of two people are nearest to each other.
+    """Return the start of the seconds in which the surfaces of two people are nearest to each other.
 
     Args:
         pair_m: body22 (frame, person=2, 22, 3), metres.
         rate_hz: Frames per second.
-        seconds: How long; the first of several that are as near.
+        seconds: Duration; the first of several equally near spans is taken.
     """
     gaps = surface_gaps(pair_m, capsule_model(BODY22).radii_of(pair_m), BODY22).gap_m.min(axis=(1, 2))
     count = max(1, round(seconds * rate_hz))

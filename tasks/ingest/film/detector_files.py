@@ -1,4 +1,4 @@
-"""The files of a detector: a path, or an address and digest whose file `pasdedeux fetch detector` has brought."""
+"""Files of detectors: paths, or addresses with digests, whose files `pasdedeux fetch detector` downloads."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ _ADDRESS = re.compile(r"(https://[^#\s]+)#sha256=([0-9a-f]{64})")
 
 
 class NetworkAddress(NamedTuple):
-    """Where a network is on the internet, and the sha256 of its file."""
+    """Address of a network on the internet, and the sha256 of its file."""
 
     url: str
     sha256: str
 
     @property
     def kept(self) -> Path:
-        """Return where its file lies once it was fetched."""
+        """Path of its file after it was fetched."""
         return cache_folder() / "detectors" / f"{self.sha256}.onnx"
 
 
 @dataclass(frozen=True)
 class KnownDetector:
-    """A detector that has a name.
+    """A detector with a name.
 
     Args:
-        address: Where its network is.
+        address: Address of its network.
         num_bytes: Size of its file.
         licence: Its licence.
-        meaning: What it finds.
+        meaning: What it detects.
     """
 
     address: NetworkAddress
@@ -56,7 +56,7 @@ KNOWN_DETECTORS = {
         "several people, COCO's 17 keypoints, images of 640 x 640",
     )
 }
-"""Detectors by name, the one to use first in front."""
+"""Detectors by name; the first is the default."""
 
 
 def fetched_detectors() -> tuple[str, ...]:
@@ -65,10 +65,12 @@ def fetched_detectors() -> tuple[str, ...]:
 
 
 def find_network(stated: str) -> SourceFile:
-    """Return the file of a network: a name, a path, or an address that ends in #sha256=DIGEST; nothing is sent to it.
+    """Return the file of a network given as a name, a path, or an address that ends in #sha256=DIGEST.
+
+    Nothing is downloaded.
 
     Raises:
-        InputError: It is not there, was not fetched yet, or has another digest.
+        InputError: It does not exist, was not fetched yet, or has another digest.
     """
     known = KNOWN_DETECTORS.get(stated)
     if known is None and "://" not in stated:
@@ -90,10 +92,10 @@ def find_network(stated: str) -> SourceFile:
 
 
 def network_address(stated: str) -> NetworkAddress:
-    """Return the parts of an address that a study may state: https, a host with a public name, a digest.
+    """Parse an address in a study: https, a host with a public name, and a digest.
 
     Raises:
-        InputError: It is another one.
+        InputError: It has another form.
     """
     match = _ADDRESS.fullmatch(stated)
     if match is None:
@@ -105,10 +107,10 @@ def network_address(stated: str) -> NetworkAddress:
 
 
 def check_network(address: NetworkAddress) -> None:
-    """Refuse a kept file whose content has changed.
+    """Refuse a fetched file whose content has changed.
 
     Raises:
-        InputError: Its digest is not that of its name.
+        InputError: Its digest is not the one in its name.
     """
     if digest_of(address.kept) != address.sha256:
         raise InputError(f"detector {address.kept} is damaged: it has another digest than its name; delete it")

@@ -1,4 +1,4 @@
-"""Film in a study, and the parameters of the shards of its shots."""
+"""Film in a study, and parameters of the shards of its shots."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tasks.ingest.poses2d.parameters import AnnotationParameters, SourceOptions
 
 
 class FilmOptions(SourceOptions):
-    """Film of people, with key frames that a person annotated, a detector's keypoints, or a detector to be run."""
+    """Film of people, with annotated key frames, a detector's keypoints, or a detector to run."""
 
     path: Path = Field(description="Film, folder of numbered images, or folder of films")
     keys: Path | None = Field(
@@ -49,14 +49,14 @@ class FilmParameters(AnnotationParameters):
     """The shard of a shot of a film.
 
     Attributes:
-        num_given: Of its files the first are these, of key frames or detections; the film comes last.
-        num_networks: Then come these, of a detector.
-        is_key: The given files are key frames.
-        detect_every: The detector sees every so many frames.
+        num_given: Number of files of key frames or detections, which come first.
+        num_networks: Number of files of a detector, which come next; the film comes last.
+        is_key: Whether the given files are key frames.
+        detect_every: Interval of frames for the detector.
         first_number: Number of the film's first image.
         first_frame: First frame of the shot, counted from the beginning of the film.
         num_frames: Its length.
-        after_s: Time stamp of the frame before it, by which it is found; None at the beginning, or where none is told.
+        after_s: Time stamp of the frame before it, for seeking; None at the beginning, or if times are unknown.
         is_constant_rate: Whether the time stamps of the film are those of a constant rate.
     """
 

@@ -1,4 +1,4 @@
-"""Film read as a stream: images, time stamps, shots; nothing holds all of it."""
+"""Reading film as a stream: images, time stamps and shots, never all images at once."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from tasks.user_files import digest_of, open_file
 Image = npt.NDArray[np.uint8]
 
 _RUN_UP_S = (1.0, 8.0)
-"""So long before a frame a film is sought, more where that is not enough: frames rest on others before them."""
+"""Times before a frame to which a film is sought; the second if the first is too short for the codec."""
 _SAME_S = 1e-6
-"""Time stamps that differ less are of one frame."""
+"""Time stamps with a smaller difference belong to one frame."""
 _SAME_FRAME = 1e-3
-"""An image that comes so little after a frame, in frames, is shown by it: time stamps are rounded."""
+"""A frame shows an image that comes later by at most this, in frames: time stamps are rounded."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """Properties of a film, after one complete reading.
+    """Properties of a film, from one complete reading.
 
     Args:
         files: The film, or its images in order.
-        first_number: Number of the first frame: 0, of images the one in its name.
+        first_number: Number of the first frame: 0, or for images the number in its name.
         image_size_px: Width and height, upright.
         rate_hz: Typical rate; None for images.
-        is_constant: Whether the time stamps keep to it.
+        is_constant: Whether the rate is constant.
         starts: First frame of each shot.
-        times_s: Time stamp of each frame; NaN where nothing says it.
-        num_lost: Frames that the header states and that cannot be read.
+        times_s: Time stamp of each frame; NaN if unknown.
+        num_lost: Number of frames that the header states but that cannot be read.
     """
 
     files: tuple[SourceFile, ...]
@@ -56,28 +56,28 @@ class Film:
 
     @property
     def num_frames(self) -> int:
-        """Return its length."""
+        """Number of frames."""
         return len(self.times_s)
 
     def after_s(self, first: int) -> float | None:
-        """Return the time stamp of the frame before one, by which that is found; None where times do not tell it."""
+        """Return the time stamp of the frame before `first`, for seeking; None if times do not grow."""
         return self.times_s[first - 1] if first and (np.diff(self.times_s) > 0).all() else None
 
     def read(self, first: int) -> Iterator[FilmFrame]:
-        """Yield the frames from one on, as `read_film` does."""
+        """Yield the frames from `first` on, as `read_film`."""
         return read_film(self.files, first, after_s=self.after_s(first))
 
 
 @dataclass(frozen=True)
 class FilmFrame:
-    """One image (height, width, 3), BGR, upright, and its time; NaN where nothing says it."""
+    """One image (height, width, 3), BGR, upright, and its time; NaN if unknown."""
 
     image: Image
     time_s: float
 
 
 def is_film(path: Path) -> bool:
-    """Tell whether a path is a film, or a folder of images and of no films."""
+    """Return whether a path is a film, or a folder of images without films."""
     if not path.is_dir():
         return path.suffix.lower() in VIDEO_SUFFIXES
     suffixes = {item.suffix.lower() for item in path.iterdir()}
@@ -85,9 +85,9 @@ def is_film(path: Path) -> bool:
 
 
 def first_shown(times_s: npt.ArrayLike, rate_hz: float) -> npt.NDArray[np.int64]:
-    """Return the first frame that shows each image of a film of another rate, by the time stamps of the images.
+    """Return the first frame that shows each image of a film, from the time stamps of the images.
 
-    Frame n is at n / rate_hz seconds and shows the last image that there is by then.
+    Frame n is at n / rate_hz seconds and shows the last image up to then.
 
     >>> first_shown([0.0, 0.05, 0.1, 0.35], 10.0).tolist()
     [0, 1, 1, 4]
@@ -96,7 +96,7 @@ def first_shown(times_s: npt.ArrayLike, rate_hz: float) -> npt.NDArray[np.int64]
 
 
 def image_at(shown: Sequence[int] | npt.NDArray[np.int64], frame: int) -> int:
-    """Return which image a frame shows, by the first frame that shows each; -1 before all.
+    """Return the index of the image that a frame shows, from `first_shown`; -1 before the first.
 
     >>> [image_at([0, 1, 1, 4], frame) for frame in range(-1, 5)]
     [-1, 0, 2, 2, 2, 3]
@@ -108,8 +108,7 @@ def open_film(path: Path) -> Film:
     """Read a film once, from beginning to end.
 
     Raises:
-        InputError: There is nothing, or nothing that can be read; images differ in size, or one between them is
-            missing.
+        InputError: It does not exist or cannot be read; images differ in size, or an image is missing.
     """
     if not path.exists():
         raise InputError(f"film {path} does not exist")
@@ -147,14 +146,14 @@ def read_film(
     after_s: float | None = None,
     sought: int | None = None,
 ) -> Iterator[FilmFrame]:
-    """Yield the frames of a film from one on, up to another.
+    """Yield some frames of a film.
 
     Args:
         files: The film, or its images.
         first: First frame.
-        stop: Frame after the last one; None: to the end.
-        after_s: Time stamp of the frame before the one that is sought; None: all before the first are decoded.
-        sought: Frame that is sought, from which those before the first are decoded; None: the first.
+        stop: Frame after the last one; None for all.
+        after_s: Time stamp of the frame before `sought`; None to decode from the beginning.
+        sought: Frame to seek; frames between it and the first are decoded and dropped; None for the first.
 
     Raises:
         InputError: The film cannot be opened, or the size of its images changes.
@@ -196,9 +195,9 @@ def _read_video(
 
 
 def _opened_after(path: Path, first: int, after_s: float | None) -> tuple[Any, int]:
-    """Return an opened film and the number of its next frame: the first that is wanted, or 0 where seeking fails.
+    """Return an opened film and the number of its next frame: `first`, or 0 if seeking fails.
 
-    Seeking is exact in few codecs: a place before is sought, and from there on frames are known by their time stamps.
+    Seeking is exact in few codecs, so an earlier place is sought, and frames are identified by time stamps from there.
     """
     import cv2  # here: a quarter of a second that planning does not need
 
@@ -247,12 +246,12 @@ def _read_images(files: tuple[SourceFile, ...]) -> Iterator[FilmFrame]:
 _EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"
 """First bytes of a Matroska or WebM file, and of its segment (RFC 9559)."""
 _SHORT_S = 0.25
-"""A film whose last image is so much earlier than stated is cut off."""
+"""A film whose last image is earlier than stated by more than this is cut off."""
 
 
 @lru_cache(maxsize=64)
 def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
-    """Read a film once; remembered, because a study is planned several times in a run."""
+    """Read a film once; cached, because a study is planned several times in a run."""
     finder, times = ShotFinder(), []
     size = (0, 0)
     for frame in read_film(files):
@@ -279,10 +278,11 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
 
 
 def _num_lost(path: Path, stated: float, stated_hz: float, times_s: Sequence[float]) -> int:
-    """Return how many of the frames that a film states cannot be read; 0 where its times come to the stated length.
+    """Return how many stated frames of a film cannot be read; 0 if its times reach the stated length.
 
-    A container without a count of frames states its length times its rate, which is too many where sound goes on after
-    the images or the rate varies: Matroska and WebM are cut off where the file is shorter than its segment says.
+    For containers without a count of frames the stated number is length times rate, which is too large if sound is
+    longer than the images or the rate varies.  Matroska and WebM files are cut off if they are shorter than their
+    segment.
     """
     if not (len(times_s) < round(stated) < 1e9 and 0 < stated_hz <= 1000):
         return 0
@@ -293,13 +293,13 @@ def _num_lost(path: Path, stated: float, stated_hz: float, times_s: Sequence[flo
 
 
 def _is_cut_matroska(path: Path) -> bool | None:
-    """Tell whether a Matroska or WebM file ends before its segment does; None of other files, or of an unknown size."""
+    """Return whether a Matroska or WebM file is shorter than its segment; None for other files or unknown sizes."""
     with open_file(path) as file:
         head = file.read(4096)
     start = head.find(_SEGMENT) + len(_SEGMENT)
     if not head.startswith(_EBML) or start < len(_SEGMENT) or start + 8 > len(head):
         return None
-    width = 9 - head[start].bit_length()  # the leading zeros of the first byte tell how long the number is
+    width = 9 - head[start].bit_length()  # the leading zeros of the first byte give the length of the number
     size = int.from_bytes(head[start : start + width]) & ((1 << 7 * width) - 1)
     is_unknown = size == (1 << 7 * width) - 1
     return not is_unknown and path.stat().st_size < start + width + size

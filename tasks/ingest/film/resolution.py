@@ -1,4 +1,4 @@
-"""Shots of films as sources of 2D poses: found and checked before any work, annotated frame by frame."""
+"""Shots of films as sources of 2D poses: finding and checking them, and annotating all their frames."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from tasks.ingest.poses2d.resolution import own_layout_of, read_given
 from tasks.stage import SourceFile
 
 ASSUMED_RATE_HZ = 30.0
-"""Of a folder of images whose rate nobody states."""
+"""Rate of a folder of images if none is stated."""
 _MAX_RATE_RATIO = 1.02
-"""Annotations whose rate differs more from the film's are of another film."""
+"""Maximum ratio of the rates of annotations and film; beyond it they are of another film."""
 
 
 @dataclass(frozen=True)
 class FoundShot:
-    """A shot of a film: parameters and files of its shard, and remarks on its given poses."""
+    """A shot of a film: parameters and files of its shard, and notes on its given poses."""
 
     parameters: FilmParameters
     files: tuple[SourceFile, ...]
@@ -51,10 +51,10 @@ def find_shots(
 ) -> list[FoundShot]:
     """Find the films of a source and their shots, and check key frames or detections against them.
 
-    Shots of which nothing is given are left out.
+    Shots without key frames or detections are left out.
 
     Raises:
-        InputError: A film cannot be read, a file is mangled, or they do not fit each other.
+        InputError: A film cannot be read, a file is damaged, or they do not fit each other.
     """
     with named(f"video {options.id}"):
         films = _films_of(options)
@@ -70,7 +70,7 @@ def find_shots(
 
 
 def annotate(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedShot:
-    """Return the annotations of all frames of a shot, in the numbers of the film's frames, with their doubts.
+    """Return the annotations of all frames of a shot, with the film's frame numbers, and their doubts.
 
     Raises:
         InputError: A file has changed, or nobody is found.
@@ -79,12 +79,12 @@ def annotate(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Annot
 
 
 def read_shot(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
-    """Return the annotations of a shot as ingest takes them: at a constant rate."""
+    """Return the annotations of a shot at a constant rate, for ingest."""
     return CorrectedShot(parameters, files).placed()
 
 
 class CorrectedShot:
-    """A shot whose keypoints a person corrects one by one: tracks follow between the frames that are known.
+    """A shot whose keypoints a person corrects one by one; tracks between known frames are updated.
 
     Args:
         parameters: The shard of the shot.
@@ -102,7 +102,7 @@ class CorrectedShot:
         self._begun = self.placed()
 
     def changes_px(self) -> dict[tuple[int, int], Array]:
-        """Return joints of pair17 (17, 2) that corrections have moved by frame of `placed` and person, NaN: others."""
+        """Return moved joints of pair17 (17, 2) by frame of `placed` and person; others are NaN."""
         layout, now = get_keypoint_layout(self._begun.layout), self.placed()
         before, after = (
             layout.derive(PAIR17.name, frames.keypoints_px, frames.confidence).positions
@@ -113,7 +113,7 @@ class CorrectedShot:
         return {place: px for place, px in zip(places, moved, strict=True) if np.isfinite(px).any()}
 
     def placed(self) -> AnnotatedFrames:
-        """Return the annotations as ingest takes them: at a constant rate."""
+        """Return the annotations at a constant rate, for ingest."""
         frames = self.shot.frames
         if self._parameters.is_constant_rate:
             return frames
@@ -136,7 +136,7 @@ class CorrectedShot:
         return [int(first_shown(self._times_s[frame - self._first], rate_hz)) for frame in frames]
 
     def correct(self, frame: int, person_id: int, joint: str, point_px: Array) -> None:
-        """Place a joint of pair17 in a frame of the film, and track it anew from there to where it is known.
+        """Place a joint of pair17 in a frame of the film, and track it again between the known frames.
 
         Raises:
             InputError: The person is not in this frame, or the joint is a mean of several keypoints.
@@ -150,9 +150,9 @@ class CorrectedShot:
         self.shot = correct_keypoint(self.shot, frame, person_id, keypoint, point_px, self._images, is_key=is_key)
 
     def given(self) -> AnnotatedFrames:
-        """Return what a person or a detector gave, of the other shots of the film as well: what a study can name.
+        """Return the keypoints from a person or a detector, also of the film's other shots, to be named in a study.
 
-        Of a detector that was run the other shots are not there.
+        If a detector was run, the other shots are not included.
         """
         given_frames = self.shot.frames.given()
         if self._parameters.num_networks:
@@ -198,7 +198,7 @@ def _annotated(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> tup
 
 
 def _given(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
-    """Return the key frames or detections of a film, at its rate, under the name of the shot."""
+    """Return the key frames or detections of a film, with its rate and the name of the shot."""
     stated = Footage(parameters.video_size_px, parameters.video_rate_hz, parameters.focal_px, parameters.fov_deg)
     if parameters.num_networks:
         frames = _detected(parameters, files)
@@ -225,7 +225,7 @@ def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Anno
 
 
 def _films_of(options: FilmOptions) -> list[tuple[str, Path, Path | None]]:
-    """Return name, path and given file of each film of a source."""
+    """Return name, path and file of given poses of each film of a source."""
     given = options.keys or options.detections
     if not options.path.is_dir() or is_film(options.path):
         return [("", options.path, given)]
@@ -310,7 +310,7 @@ def _shots_of(
 
 
 def _check_given(shot: FoundShot, given: Path, film: Film, rate_hz: float, options: FilmOptions) -> AnnotatedFrames:
-    """Return the given keypoints, after a check against the film."""
+    """Check the given keypoints against the film, and return them."""
     with named(given.name):
         parameters = shot.parameters
         files = shot.files[: parameters.num_given]

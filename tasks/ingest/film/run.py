@@ -24,20 +24,20 @@ from tasks.ingest.poses2d.run import commit_poses2d
 from tasks.stage import Shard, SourceFile
 
 ANNOTATIONS_NAME = "annotations.csv"
-"""Annotations of a film beside the tables, with the status of each keypoint."""
+"""Attachment: annotations of a film with the status of each keypoint."""
 SHEET_NAME, CLIP_NAME = "sheet.svg", "clip.svg"
-"""Images of a film with the people drawn, and a short moving clip of it, beside the tables."""
+"""Attachments: images of a film with the people drawn, and a short clip of it."""
 _SHEET_IMAGES, _CLIP_IMAGES = 8, 30
 
 
 @dataclass(frozen=True)
 class FoundFilm(FoundAnnotations):
-    """A shot of a film that was found, as a source of 2D poses."""
+    """A shot of a film as a source of 2D poses."""
 
     parameters: FilmParameters
 
     def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
-        """Return who is who, and every keypoint with its status, as key frames can be corrected in it, and pictures."""
+        """Return the table of people, all keypoints with their status, for corrections, and pictures."""
         frames = annotate(self.parameters, self.files).frames
         table = {ANNOTATIONS_NAME: write_annotation_csv(frames).encode()}
         return super().attachments(resolved) | table | _pictures(self.parameters, self.files, frames)
@@ -71,18 +71,18 @@ def find_videos(
 
 
 def run_film(shard: Shard, store: Store, parameters: FilmParameters) -> ArtifactRef:
-    """Annotate a shot, resolve who is who, and derive the working skeletons."""
+    """Annotate a shot, resolve identities, and derive the working skeletons."""
     return commit_poses2d(shard, store, FoundFilm(parameters, shard.files, None))
 
 
 @lru_cache(maxsize=16)
 def _read(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
-    """Annotate a shot; the last few are remembered, because a study is planned several times in a run."""
+    """Annotate a shot; the last few are cached, because a study is planned several times in a run."""
     return read_shot(parameters, files)
 
 
 def _pictures(parameters: FilmParameters, files: tuple[SourceFile, ...], frames: AnnotatedFrames) -> dict[str, bytes]:
-    """Return a sheet of images of a shot and a short clip from its middle, people drawn and faces blurred."""
+    """Return a sheet of images of a shot and a short clip from its middle, with drawn people and blurred faces."""
     on_sheet = some_of(np.unique(frames.frame).tolist(), _SHEET_IMAGES)
     middle = int(np.median(frames.frame))
     in_clip = range(middle - _CLIP_IMAGES, middle + _CLIP_IMAGES, 2)

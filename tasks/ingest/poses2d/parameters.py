@@ -1,4 +1,4 @@
-"""Sources of 2D poses in a study, and the parameters of their shards."""
+"""Sources of 2D poses in a study, and parameters of their shards."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class AnnotationCommon(PeopleSettings, Parameters):
 
 
 class SourceOptions(AnnotationCommon):
-    """What a source of 2D poses and a film have in common in a study."""
+    """Common keys of sources of 2D poses and of film."""
 
     layout_file: Path | None = Field(
         None,
@@ -105,11 +105,11 @@ class SourceOptions(AnnotationCommon):
 
 
 SOURCE_FILES = SourceOptions.model_fields.keys() - AnnotationCommon.model_fields.keys()
-"""Keys of files that a shard has the content of."""
+"""Keys of files whose content is in the parameters of a shard."""
 
 
 class AnnotationOptions(SourceOptions):
-    """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
+    """2D poses of the user: a detector's file or folder of files, or our CSV or npz."""
 
     path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
     is_watched: bool = Field(
@@ -123,13 +123,13 @@ class AnnotationParameters(AnnotationCommon):
     """The shard of a source of 2D poses; its format is found.
 
     Attributes:
-        frames: The frame of each file, where its name tells it: no digest of the content knows.
-        video_rate_hz: What the header of the video beside the files says; None without.
+        frames: Frame of each file, if it is in the name, which the digest does not cover.
+        video_rate_hz: Rate in the header of the video beside the files; None without a video.
         video_size_px: Its width and height.
-        people: Rows of the table of who is who that are about its sequences.
-        take_seconds: Only so much from the start of each sequence; None: all of it.
-        own_layout: TOML of a keypoint layout of the user's own, None without.
-        calibration: TOML of a calibration, and the table of this camera in it; None without.
+        people: Rows of the table of people about its sequences.
+        take_seconds: Seconds from the start of each sequence; None for all.
+        own_layout: TOML of a keypoint layout of the user; None if there is none.
+        calibration: TOML of a calibration, and the table of this camera in it; None if there is none.
     """
 
     is_held_out: bool
@@ -142,5 +142,5 @@ class AnnotationParameters(AnnotationCommon):
     calibration: tuple[str, str] | None = None
 
     def keypoint_layout(self) -> str | KeypointLayout:
-        """Return the layout of the files: its name, "auto", or the user's own."""
+        """Return the layout of the files: a name, "auto", or the user's layout."""
         return self.layout if self.own_layout is None else read_layout(self.own_layout)

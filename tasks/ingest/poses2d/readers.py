@@ -25,19 +25,19 @@ _FRAME_SUFFIXES = frozenset(
 )
 _SEPARATORS = "_-. "
 _EMPTY_LIST = 4
-"""Bytes of an image's file in which nobody is: `[]`, which tells nothing of the format."""
+"""Size of a file of an image without people, `[]`, which has no format."""
 _NUM_TRIED = 20
-"""Files of a folder that may tell its format: the first images may have nobody in them."""
+"""Maximum number of files that are read to detect the format of a folder: first images may show nobody."""
 
 
 @dataclass(frozen=True)
 class CameraFiles:
-    """What one camera saw.
+    """The files of one camera.
 
     Args:
-        name: Name of the camera; empty where a source has one only.
+        name: Name of the camera; empty if a source has only one.
         format: Format of the files.
-        paths: A file, or those of all frames.
+        paths: One file, or the files of all frames.
     """
 
     name: str
@@ -48,12 +48,12 @@ class CameraFiles:
 def find_cameras(path: Path, format_name: str = "auto", *, skipped: dict[str, str] | None = None) -> list[CameraFiles]:
     """Return the files of each camera of a source: a file, a folder of frames, or a folder of either.
 
-    A folder of files of frames is a camera for each beginning of their names (`cam1_0012.json`), any other file of a
-    folder is one of its own, and so is each folder in it.  Where `skipped` is given more files are to come: one that
-    is none of 2D poses goes there by its name, with the reason, and the only camera has a name as others would have.
+    In a folder of files of frames, each beginning of names is a camera (`cam1_0012.json`); any other file, and each
+    folder inside, is a camera, too.  If `skipped` is given, more files may come: files that are not of 2D poses are
+    added to it with the reason, and a single camera gets a name as well.
 
     Raises:
-        InputError: There is nothing there, nothing that is known, or a video or images, whose people nobody detected.
+        InputError: It does not exist or has no known files, or it has a video or images, which need a detector.
     """
     if not path.is_dir():
         refuse_film([path], path)
@@ -73,7 +73,7 @@ def find_cameras(path: Path, format_name: str = "auto", *, skipped: dict[str, st
 
 
 def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) -> list[CameraFiles]:
-    """Return the cameras of the files that lie in a folder itself."""
+    """Return the cameras of the files directly in a folder."""
     paths = sorted(item for item in folder.iterdir() if item.suffix.lower() in _SUFFIXES and item.is_file())
     paths = [item for item in paths if item.suffix.lower() != _TEXT] or paths  # beside others a text is a note
     of_frames = [item for item in paths if item.suffix.lower() in _FRAME_SUFFIXES]
@@ -101,9 +101,9 @@ def _cameras_in(folder: Path, format_name: str, skipped: dict[str, str] | None) 
 
 
 def _frames_format(tried: Sequence[Path], format_name: str) -> str | None:
-    """Return the format of a folder's files where each is a frame, else None; damaged files are taken for frames.
+    """Return the format of a folder's files if each is a frame, else None; damaged files count as frames.
 
-    The first of the files `tried` that is recognised tells it.
+    The first recognised file of `tried` decides.
     """
     if format_name != "auto":
         return format_name if ANNOTATION_FORMATS[format_name].is_file_per_frame else None
@@ -129,7 +129,7 @@ def _format_of(path: Path, format_name: str) -> str:
 
 
 def refuse_film(paths: Sequence[Path], path: Path) -> None:
-    """Refuse a video, or images, with what must be done to them first."""
+    """Refuse a video or images, with advice how to annotate or detect people first."""
     suffixes = {item.suffix.lower() for item in paths}
     what = "video" if suffixes & VIDEO_SUFFIXES else "images" if suffixes & IMAGE_SUFFIXES else ""
     if what:
@@ -144,10 +144,10 @@ def refuse_film(paths: Sequence[Path], path: Path) -> None:
 
 
 def video_beside(path: Path, camera: CameraFiles) -> Path | None:
-    """Return the video that a camera's files were detected on, where one of such a name lies beside them.
+    """Return the video of a camera's files, if it is beside them; else None.
 
-    The same name, or one that begins or ends the files' name (`clip.mp4` with `clip_keypoints.json`), in the same
-    folder, the one above, or `videos` beside either; or the only video inside a folder of one camera's frames.
+    The video has the same name, or a beginning or end of it (`clip.mp4` with `clip_keypoints.json`), in the same
+    folder, the one above, or `videos` in either; or it is the only video inside a folder of one camera's frames.
 
     Args:
         path: The source: file or folder.
@@ -173,7 +173,7 @@ def _videos(folder: Path) -> list[Path]:
 
 
 def is_named_after(name: str, stem: str) -> bool:
-    """Tell whether a name is that of a video, perhaps with something before or after it."""
+    """Return whether a name is that of a video, also with a prefix or suffix."""
     name, stem = name.lower(), stem.lower()
     return name == stem or any(
         name.startswith(stem + separator) or name.endswith(separator + stem) for separator in _SEPARATORS
@@ -181,13 +181,13 @@ def is_named_after(name: str, stem: str) -> bool:
 
 
 def open_capture(video: Path) -> Any:
-    """Return OpenCV's reader of a video, opened or not; libraries do not comment on what is wrong with it.
+    """Return OpenCV's reader of a video, opened or not, without messages of libraries about faults.
 
     Raises:
-        InputError: It is not there, or no regular file.
+        InputError: It does not exist, or is not a regular file.
     """
     open_file(video).close()
-    # Both are read when the first video is opened: AV_LOG_QUIET, and a playlist may name nothing on a network.
+    # Both are read when the first video is opened: AV_LOG_QUIET, and no network access from playlists.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
     import cv2  # here: a quarter of a second that planning does not need
@@ -197,7 +197,7 @@ def open_capture(video: Path) -> Any:
 
 
 def read_header(video: Path) -> Footage:
-    """Return image size and rate that a video's header states; nothing of one that cannot be opened."""
+    """Return image size and rate in a video's header; None for both if it cannot be opened."""
     import cv2
 
     capture = open_capture(video)

@@ -1,4 +1,4 @@
-"""Sources of 2D poses found and read before any work: cameras, format, layout, rate, and who is who."""
+"""Finding and reading sources of 2D poses in planning: cameras, format, layout, rate, and identities."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from tasks.stage import SourceFile
 
 DEFAULT_RATE_HZ = 30.0
 PEOPLE_NAME = "people.csv"
-"""Who is who, as ingest decided it, beside the tables."""
+"""Attachment: the table of people, as resolved by ingest."""
 _MAX_PLANNED_BYTES = 16_000_000
-"""Size of a source that planning reads, so that bad input is refused before any work: about a second."""
+"""Maximum size of a source that is read in planning, to refuse bad input early: about a second."""
 MAX_NAMED_FILES = 20
-"""Skipped files that are named, of any number."""
+"""Maximum number of skipped files that are named."""
 
 
 @dataclass(frozen=True)
 class FoundAnnotations:
-    """A source of 2D poses that was found and read once, or one camera of it.
+    """A source of 2D poses, or one camera of it.
 
     Args:
-        parameters: Those of its shard: every choice is made.
+        parameters: Parameters of its shard, with all choices made.
         files: Its files.
-        video: The video beside them whose header was read, None without.
-        notes: What a user should know of how they are read; empty where they have not been read.
+        video: The video beside them whose header was read; None if there is none.
+        notes: Notes for the user on how they are read; empty if they have not been read.
     """
 
     parameters: AnnotationParameters
@@ -45,10 +45,10 @@ class FoundAnnotations:
     notes: tuple[str, ...] = ()
 
     def read(self) -> AnnotatedFrames:
-        """Return the annotations in pixels, with the rate, and with image size and focal length where they are known.
+        """Return the annotations in pixels, with rate, and with image size and focal length if they are known.
 
         Raises:
-            InputError: A file is mangled or has changed.
+            InputError: A file is damaged or has changed.
         """
         frames = self._read()
         return replace(frames, rate_hz=frames.rate_hz or DEFAULT_RATE_HZ)
@@ -57,15 +57,15 @@ class FoundAnnotations:
         """Return the annotations with identities resolved.
 
         Raises:
-            InputError: As `read`, nobody is in it, or the table of who is who is about others.
+            InputError: As `read`; nobody is in it, or the table of people is about other people.
         """
         with named(f"annotations {self.parameters.id}"):
             decisions = [Decision.from_words(row) for row in self.parameters.people]
-            is_start = self.parameters.take_seconds is not None  # decisions are about the whole sequence
+            is_start = self.parameters.take_seconds is not None  # while decisions are about whole sequences
             return resolve_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
 
     def in_words(self) -> str:
-        """Say what the files are, and where what is known of the video comes from."""
+        """Describe the files, and the origin of what is known of the video."""
         stated, frames = self.parameters, self._read()
         words = self._kind_in_words()
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
@@ -87,7 +87,7 @@ class FoundAnnotations:
         return f"{stated.id}: {', '.join((*words, *frames.remarks, *frames.doubts))}"
 
     def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
-        """Return what lies beside the tables: who is who."""
+        """Return the attachments: the table of people."""
         decisions = write_decisions(row for sequence in resolved.sequences for row in sequence.decisions)
         return {PEOPLE_NAME: decisions.encode()}
 
@@ -111,13 +111,13 @@ def find_annotations(
     Args:
         options: The source.
         is_held_out: Whether it shows a take that is held out.
-        skipped: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
-        take_seconds: Only so much from the start of each sequence.
+        skipped: If given, cameras that cannot be read are added to it with the reason, instead of an error.
+        take_seconds: Seconds from the start of each sequence; None for all.
 
     Sources larger than 16 MB are read when their shard runs.
 
     Raises:
-        InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
+        InputError: The path does not exist, a file is damaged, or the layout is not the requested one.
     """
     sources: list[FoundAnnotations] = []
     known: set[str] = set()
@@ -129,7 +129,7 @@ def find_annotations(
                 source = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
                 planned, name = source.parameters, camera.paths[0].name
                 is_large = sum(path.stat().st_size for path in camera.paths) > _MAX_PLANNED_BYTES
-                # Whose rows are of which sequence, and whether a file is whole yet, only its content tells.
+                # Decisions and watched folders need the content: names of sequences, and whether the file is whole.
                 is_read = not is_large or bool(decisions) or skipped is not None
                 frames = source.read() if is_read else None
                 sequences = set(frames.sequence_id) if frames else set()
@@ -150,10 +150,10 @@ def find_annotations(
 
 
 def own_layout_of(path: Path | None) -> str | None:
-    """Return the text of a keypoint layout of the user's own, after a check.
+    """Read and check a keypoint layout of the user, and return its text.
 
     Raises:
-        InputError: It is not there, or mangled.
+        InputError: It does not exist, or is damaged.
     """
     if path is None:
         return None
@@ -164,7 +164,7 @@ def own_layout_of(path: Path | None) -> str | None:
 
 
 def decisions_of(people_file: Path | None) -> list[Decision]:
-    """Return the table of who is who; nothing where there is none."""
+    """Read the table of people; empty if there is none."""
     if people_file is None:
         return []
     data = load_file(people_file).data
@@ -200,7 +200,7 @@ def read_given(
     """Read files of 2D poses with the choices of their shard; see `read_annotations`.
 
     Raises:
-        InputError: A file is mangled or has changed.
+        InputError: A file is damaged or has changed.
     """
     return read_annotations(
         ANNOTATION_FORMATS[parameters.format],
@@ -217,7 +217,7 @@ def read_given(
 
 @lru_cache(maxsize=16)
 def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
-    """Read a source; the last few are remembered, because a study is planned several times in a run."""
+    """Read a source; the last few are cached, because a study is planned several times in a run."""
     stated = Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg)
     video = Footage(parameters.video_size_px, parameters.video_rate_hz)
     frames = read_given(parameters, files, stated, video=video)

@@ -1,4 +1,4 @@
-"""The work of a shard of 2D poses: read, people told apart, made into working skeletons."""
+"""The work of a shard of 2D poses: reading, resolving identities, deriving the working skeletons."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from tasks.stage import Shard
 from tasks.user_files import digest_of
 
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
-"""Share of the joints that count which are seen: below the first a source is doubted, below the second useless."""
+"""Share of seen joints below which a source gets a warning, and below which it fails."""
 
 
 def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters) -> ArtifactRef:
-    """Read a source of 2D poses, resolve who is who, and derive the working skeletons."""
+    """Read a source of 2D poses, resolve identities, and derive the working skeletons."""
     return commit_poses2d(shard, store, FoundAnnotations(parameters, shard.files, None))
 
 
@@ -116,7 +116,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
 
 
 def track_columns(resolved: ResolvedPeople) -> dict[str, Any]:
-    """Return the columns of the table of annotations that tracks are made of."""
+    """Return the columns of the table of annotations from which tracks are made."""
     frames = resolved.frames
     sizes = [frames.image_size_px.get(name) or (None, None) for name in frames.sequence_id]
     return {
@@ -134,7 +134,7 @@ def track_columns(resolved: ResolvedPeople) -> dict[str, Any]:
 
 
 def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> list[str]:
-    """Say of which people who are not there a stature is stated; nothing where there are none."""
+    """Return a doubt if a stature is stated for people who are not there, else nothing."""
     absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known)))) or "none"
     whom = ", ".join(map(str, absent))
     return [f"a stature is stated for person {whom}, who is not there; people: {people}"] * bool(absent)
@@ -143,9 +143,9 @@ def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> list[st
 def _verdict(
     is_seen: np.ndarray, num_skipped: int, num_files: int, sequences: Sequence[SequencePeople], doubts: Sequence[str]
 ) -> Verdict:
-    """Say whether enough is seen: the share of the joints (person in a frame, joint), and the frames skipped.
+    """Judge a source by the share of seen joints (person in a frame, joint) and the number of skipped frames.
 
-    Tracks that were joined are said, which is no fault.
+    The reason also lists joined tracks, which are no fault.
     """
     reasons, share_seen = [], float(is_seen.mean())
     if share_seen < GOOD_SHARE_SEEN:

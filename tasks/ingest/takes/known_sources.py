@@ -1,4 +1,4 @@
-"""What is known of published files better than they say themselves: the CMU database's rates, scales and licence."""
+"""Facts about published files that override the files: rates, scales and licence of the CMU database."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ DUET_CREDIT = SourceCredit(
 )
 
 FETCHED_FILE = "CMU.sha256"
-"""File beside those that `pasdedeux fetch` downloaded from CMU; holds their digests."""
+"""File with the digests of the files in a folder that `pasdedeux fetch` downloaded from CMU."""
 _CMU_NAME = re.compile(r"^(\d{1,3})_(\d{1,3})\.(amc|bvh)$", re.IGNORECASE)
 _USUAL_RATE_HZ = 120.0
 _SALSA_RATE_HZ = 60.0
 """Subjects 60 and 61 were captured at 60 Hz; the headers of their BVH files say 120."""
 _SALSA_METRES_PER_UNIT = {"60": 1.263, "61": 1.191}
-"""Scale of the BVH release of these subjects, against the lengths in their ASF files."""
+"""Scale of the BVH release of these subjects, from the lengths in their ASF files."""
 _BVH_LAYOUT = "cmu_daz"
 
 
 def known_source(file_name: str, layout: str, *, stated_hz: float | None, is_fetched: bool = False) -> KnownSource:
     """Return the known facts of a file of this name, layout and stated rate.
 
-    An AMC file states no rate: it is known of one that `pasdedeux fetch` brought from CMU.  A name alone tells nothing.
+    An AMC file states no rate; it is known for files that `pasdedeux fetch` downloaded from CMU, not by the name alone.
     The BVH release of subjects 60 and 61 states a wrong rate, 120 Hz, and its unit differs between them.
     """
     subject = _cmu_subject(file_name)
@@ -48,7 +48,7 @@ def known_source(file_name: str, layout: str, *, stated_hz: float | None, is_fet
 
 
 def usual_rate_hz(file_name: str) -> float | None:
-    """Return the rate that CMU's AMC file of this name has; None for a name unlike theirs."""
+    """Return the rate of CMU's AMC file of this name; None for other names."""
     subject = _cmu_subject(file_name)
     if subject is None or not file_name.lower().endswith(".amc"):
         return None
@@ -56,9 +56,9 @@ def usual_rate_hz(file_name: str) -> float | None:
 
 
 def note_fetched(path: Path, data: bytes) -> None:
-    """Note beside a file that `pasdedeux fetch` brought it from CMU: name and digest, as `sha256sum --check` reads.
+    """Record beside a file that `pasdedeux fetch` downloads it from CMU: digest and name, as in `sha256sum --check`.
 
-    It is noted before the file is there: of one that is found there it could not be known any more.
+    This is recorded before the file is written, because the origin of an existing file is unknown.
     """
     notes = path.with_name(FETCHED_FILE)
     lines = [line for line in _notes(path) if not line.endswith(f"  {path.name}")]
@@ -69,18 +69,18 @@ def note_fetched(path: Path, data: bytes) -> None:
 
 
 def was_fetched(path: Path, sha256: str) -> bool:
-    """Tell whether `pasdedeux fetch` brought a file of this content from CMU, as is noted beside it."""
+    """Return whether `pasdedeux fetch` downloaded a file of this content from CMU, as recorded beside it."""
     return any(line.startswith(f"{sha256} ") for line in _notes(path))
 
 
 def has_changed(path: Path, data: bytes) -> bool:
-    """Tell whether something else is noted of a file's name than its content: an AMC file cut off can be a good one."""
+    """Return whether the content differs from the recorded one: an AMC file that was cut off may be valid."""
     noted = [line for line in _notes(path) if line.endswith(f"  {path.name}")]
     return bool(noted) and f"{hashlib.sha256(data).hexdigest()}  {path.name}" not in noted
 
 
 def _notes(path: Path) -> list[str]:
-    """Return the lines of what is noted beside a file; none where nothing can be read."""
+    """Return the recorded lines beside a file; empty if they cannot be read."""
     try:
         return read_text_file(path.with_name(FETCHED_FILE)).splitlines()
     except InputError:
@@ -88,7 +88,7 @@ def _notes(path: Path) -> list[str]:
 
 
 def known_performance(file_name: str) -> str | None:
-    """Name the performance that a file of this name holds, the same for its AMC and its BVH; None where unknown."""
+    """Return the performance in a file of this name, the same for AMC and BVH; None if unknown."""
     match = _CMU_NAME.match(file_name)
     return f"CMU {match.group(1).lstrip('0')}_{match.group(2).lstrip('0')}" if match else None
 

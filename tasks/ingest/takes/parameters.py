@@ -1,4 +1,4 @@
-"""Takes in a study, and the parameters of their shards: all choices are made, files are named by digests."""
+"""Takes in a study, and parameters of their shards, with all choices made and digests of files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 
 
 class PersonOptions(Parameters):
-    """What is known of a motion file: of a take for the files of all people, of a person for his own, which wins."""
+    """Facts about a motion file: for all files of a take, or for the file of one person, which take precedence."""
 
     format: MotionFormatName | None = Field(
         None, description=f"Format of the file: {', '.join(MOTION_FORMATS)}; detected from the content by default"
@@ -73,13 +73,13 @@ class PersonOptions(Parameters):
     yaw_deg: float | None = Field(None, ge=-360, le=360, description="Turn about the Y axis, before the shift")
 
     def over(self, take: PersonOptions) -> PersonOptions:
-        """Return the take's options, with these where they say something."""
+        """Return the options of the take, overridden by these."""
         mine = {name: value for name in PersonOptions.model_fields if (value := getattr(self, name)) is not None}
         return take.part(PersonOptions).model_copy(update=mine)
 
 
 class CommonOptions(PersonOptions):
-    """What single takes and families of takes have in common."""
+    """Common keys of single takes and families of takes."""
 
     frames: tuple[int, int] | None = Field(None, description="Source frames taken: first, and one past the last")
     on_unequal: Literal["refuse", "trim"] = Field("refuse", description="What to do with files of unequal length")
@@ -152,11 +152,11 @@ class PairOptions(CommonOptions):
 
     @property
     def patterns(self) -> tuple[str, ...]:
-        """Names that a file may have."""
+        """Possible names of a file."""
         return ("{subject}_{take}.bvh", "{subject}_{take}.amc") if self.pattern == "auto" else (self.pattern,)
 
     def take_names(self) -> tuple[str, ...]:
-        """Return the takes: those that are named, else all of which there is a file of a subject, sorted."""
+        """Return the named takes, else all with a file of any subject, sorted."""
         if self.takes is not None:
             return self.takes
         names = set()
@@ -170,11 +170,11 @@ class PairOptions(CommonOptions):
         return tuple(sorted(names))
 
     def take_id(self, take: str) -> str:
-        """Return the name that a take has in the study."""
+        """Return the name of a take in the study."""
         return self.id.format(subject=self.subjects[0], take=take)
 
     def may_bring(self, take_id: str) -> bool:
-        """Tell whether a take of this name can come into the folder."""
+        """Return whether a take of this name may be added to the folder."""
         return self.is_watched and fnmatchcase(take_id, self.id.format(subject=escape(self.subjects[0]), take="?*"))
 
 
@@ -193,12 +193,12 @@ class DuetOptions(DuetStyle, Parameters):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Style, speed, length and bodies of the dance, as `make_duet` takes them."""
+        """Style, speed, length and bodies of the dance, for `make_duet`."""
         return self.model_dump(exclude={"id", "name"})
 
 
 class DuetEntry(Parameters):
-    """A built-in duet, or many takes of it that are drawn."""
+    """A built-in duet, or many drawn takes of it."""
 
     name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
     id: str | None = Field(None, pattern=ID, max_length=100, description="Name of the take; the duet's name by default")
@@ -212,7 +212,7 @@ class DuetEntry(Parameters):
     )
 
     def takes(self) -> list[DuetOptions]:
-        """Return the takes, each with what was drawn."""
+        """Return the takes, each with its drawn style."""
         plain = DuetOptions(name=self.name, id=self.id, duration_s=self.duration_s)
         if self.count is None:
             return [plain]
@@ -225,7 +225,7 @@ class DuetEntry(Parameters):
 
 
 def num_people_of(duet: str) -> int:
-    """Return the number of people of a duet; 2 where there is none of that name, which planning refuses."""
+    """Return the number of people of a duet; 2 for unknown names, which planning refuses."""
     return DUETS[duet].num_people if duet in DUETS else DuetStyle.num_people
 
 
@@ -242,7 +242,7 @@ class CaptureOptions(Parameters):
 
 
 class _OfTake(Parameters):
-    """Parameters of the shard of every take, whatever it is made from."""
+    """Common parameters of the shards of all takes."""
 
     take_id: str
     rate_hz: float
@@ -253,22 +253,22 @@ class _OfTake(Parameters):
 
 
 class DuetParameters(_OfTake):
-    """The shard of a take that is a built-in duet."""
+    """The shard of a built-in duet."""
 
     duet: DuetOptions
 
 
 class PersonParameters(Parameters):
-    """One person's file in the shard of a take; all choices are made.
+    """The file of one person in the shard of a take, with all choices made.
 
     Attributes:
         motion_sha256: Digest of the motion file, by which it is found among the shard's files.
-        companion_sha256: Digest of the file that must lie beside it; empty where none must.
-        unit_confidence: How sure the length unit is, 1 where the study or the file says it.
-        number: Which person of the file, from 0.
+        companion_sha256: Digest of its companion; empty if it needs none.
+        unit_confidence: Confidence of the length unit, 1 if the study or the file states it.
+        number: Number of the person in the file, from 0.
         first_frame: First frame of the file that is read.
-        num_frames: So many frames of it are read.
-        start_s: Time of the take's first frame, counted from the first that is read; less than a frame.
+        num_frames: Number of frames that are read.
+        start_s: Time of the take's first frame after the first one that is read; less than a frame.
     """
 
     source_name: str

@@ -1,4 +1,4 @@
-"""The plan of takes: a shard for each, after every source file was checked."""
+"""The plan of takes: a shard for each, after all source files were checked."""
 
 from __future__ import annotations
 
@@ -32,15 +32,14 @@ from tasks.ingest.takes.resolution import PersonSource, credit_of, find_person
 from tasks.stage import Shard, StageInputs
 
 _ALMOST = 1e-6
-"""Share of a frame that is rounding."""
+"""Largest fraction of a frame that counts as rounding."""
 
 
 def plan_takes(inputs: StageInputs, parameters: IngestParameters) -> tuple[list[Shard], list[Shard]]:
-    """Return the shards of all takes, and those that say what of the families was skipped.
+    """Return the shards of all takes, and those that report skipped files of families.
 
     Raises:
-        InputError: A file is missing or mangled, the files of a take do not fit, or something must be said in the
-            study and is not.
+        InputError: A file is missing or damaged, the files of a take do not fit, or the study lacks a needed statement.
     """
     takes = [
         *(_duet_shard(inputs, parameters, duet) for duet in parameters.resolved_duets()),
@@ -62,19 +61,19 @@ def plan_takes(inputs: StageInputs, parameters: IngestParameters) -> tuple[list[
 
 
 def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
-    """Refuse a moment of a performance that one take holds out and another learns from.
+    """Refuse parts of a performance that one take holds out and another may be learned from.
 
-    The same performance is the same bytes, or a CMU motion that is there as AMC and as BVH.
+    Files of the same performance have the same bytes, or are AMC and BVH of one CMU motion.
 
     Raises:
-        InputError: With the names of both takes.
+        InputError: The message has the names of both takes.
     """
     uses: dict[str, list[tuple[TakeParameters, PersonParameters]]] = {}
     for take in takes:
         for person in take.persons:
             suffix = Path(person.source_name).suffix.lower()
             performance = known_performance(person.source_name)
-            # Two files of one name and format need not be the same motion, AMC and BVH of one name are.
+            # AMC and BVH of one name are the same motion; two files of one name and format need not be.
             keys = [person.motion_sha256, *([f"{performance} {suffix}"] if performance else [])]
             twins = [
                 person.motion_sha256,
@@ -94,7 +93,7 @@ def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
 
 
 def _seconds(person: PersonParameters) -> tuple[float, float]:
-    """Return the part of its file that a person's motion is."""
+    """Return start and stop of a person's motion in its file, seconds."""
     start = person.first_frame / person.rate_hz
     return start, start + person.num_frames / person.rate_hz
 
@@ -102,10 +101,10 @@ def _seconds(person: PersonParameters) -> tuple[float, float]:
 def _family_shards(
     inputs: StageInputs, parameters: IngestParameters, name: str, family: PairOptions
 ) -> tuple[list[Shard], dict[str, str]]:
-    """Return a shard for each take of a family; of one whose takes are not named also what is skipped, and why.
+    """Return a shard for each take of a family, and the reasons for skipped takes, if takes are not named.
 
     Raises:
-        InputError: A take that is named cannot be used, or there is none.
+        InputError: A named take cannot be used, or there is no take.
     """
     shards, skipped = [], {}
     takes = family.take_names()
@@ -127,7 +126,7 @@ def _family_shards(
 
 
 def _refuse_missing(parameters: IngestParameters) -> None:
-    """Refuse a study whose takes are named and not there; InputError with how many, and how they are had."""
+    """Refuse named takes without files; the InputError has their number and how to get them."""
     wanted = [
         (family, subject, take)
         for family in parameters.pairs.values()
@@ -230,10 +229,9 @@ def _check_things(people: Sequence[PersonSource], objects: LoadedFile | None, co
 
 
 def _cut(take: TakeOptions, people: Sequence[PersonSource], take_seconds: float | None) -> tuple[PersonParameters, ...]:
-    """Return everybody with the part of their file that is of the take, all of one duration.
+    """Return all people with the part of their file in the take, all of one duration; refuse files that do not fit.
 
-    Files that do not fit are refused.
-    `frames` are those of person A's file; of a file of another rate they are those of the same time.
+    `frames` are those of person A's file; in files of another rate they are those at the same times.
     """
     rates = one_rate([person.parameters.rate_hz for person in people])
     stated = [person.over(take).offset_s or 0.0 for person in _options(take)]

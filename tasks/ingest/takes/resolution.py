@@ -1,4 +1,4 @@
-"""Source files before any work: found, hashed, and refused while it is cheap to do so."""
+"""Finding, hashing and checking the motion files of takes in planning."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ OWN_FILES = "files given in the study"
 
 @dataclass(frozen=True)
 class PersonSource:
-    """One person's file after the checks.
+    """The checked file of one person.
 
     Args:
-        parameters: Those of the shard: every choice is made.
-        files: The motion file, then the file beside it that its format needs.
-        num_frames: Frames in the motion file.
-        notes: What its reader assumed, a sentence each.
+        parameters: Its parameters in the shard, with all choices made.
+        files: The motion file, then its companion, if it needs one.
+        num_frames: Number of frames in the motion file.
+        notes: Assumptions of its reader, a sentence each.
     """
 
     parameters: PersonParameters
@@ -43,11 +43,11 @@ class PersonSource:
 
 
 def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, number: int = 0) -> PersonSource:
-    """Find and check one person's file, or the person of this number in a file of several.
+    """Find and check the file of one person, or the person of this number in a file of several.
 
     Raises:
-        InputError: With the file's name in front: missing, mangled, unknown joints, a bone of length zero, or
-            something that must be said in the study and is not.
+        InputError: The file, named in the message, is missing or damaged, has unknown joints or a bone of length zero,
+            or the study lacks a needed statement.
     """
     file, start = find_file(path), read_start(path)
     with named(path.name):
@@ -80,7 +80,7 @@ def find_person(path: Path, options: PersonOptions, mappings: Mappings, *, numbe
 def resolve_file(
     file: SourceFile, rest: SourceMotion, options: PersonOptions | None = None, mappings: Mappings | None = None
 ) -> Resolution:
-    """Return what a motion file is taken to be: by what is stated, what is known of published files, its content."""
+    """Determine layout, rate and unit of a motion file from statements, facts about published files, and content."""
     stated = Stated()
     if options is not None:
         stated = Stated(options.layout or "auto", options.rate_hz, options.metres_per_unit)
@@ -106,17 +106,17 @@ def _resolved(
     stated: Stated,
     known: KnownSource,
 ) -> Resolution:
-    """Return what a rest pose is taken to be; files of one rig, of which there may be thousands, have the same."""
+    """Determine them for a rest pose; cached, because thousands of files of one rig may have the same."""
     offsets = np.frombuffer(rest_offsets).reshape(-1, 3)
     rest = SourceMotion.at_rest(skeleton, offsets, rate_hz=rate_hz, metres_per_unit=metres_per_unit)
     return resolve_motion(rest, stated, known)
 
 
 def find_companion(path: Path, kind: MotionFormat, stated: Path | None = None) -> SourceFile | None:
-    """Return the file that a format needs beside its motion: the one that is stated, else where it usually lies.
+    """Return the companion of a motion file: the stated one, else the one at its usual path; None if not needed.
 
     Raises:
-        InputError: It is not there, or mangled, which is told under its own name.
+        InputError: It does not exist, or is damaged (the message has its name).
     """
     if not kind.companion:
         return None
@@ -134,7 +134,7 @@ def find_companion(path: Path, kind: MotionFormat, stated: Path | None = None) -
 
 
 def credit_of(people: Sequence[PersonSource], licence: str | None, credit: str | None) -> SourceCredit:
-    """Return licence and credit of a take: what the study says, else CMU's where `fetch` brought all of its people."""
+    """Return licence and credit of a take: as stated, else those of CMU if `fetch` downloaded all its files."""
     is_cmu = all(was_fetched(Path(person.files[0].path), person.files[0].sha256) for person in people)
     known = CMU_CREDIT if is_cmu else SourceCredit(name=OWN_FILES, licence=NOT_STATED, credit=NOT_STATED)
     return SourceCredit(
@@ -146,7 +146,7 @@ def credit_of(people: Sequence[PersonSource], licence: str | None, credit: str |
 
 @lru_cache(maxsize=1000)
 def _head(kind: str, motion: SourceFile, companion: SourceFile | None, number: int) -> MotionHead:
-    """Check a file as far as that is cheap; remembered, because a study is planned several times in a run."""
+    """Check a file as far as that is cheap; cached, because a study is planned several times in a run."""
     return MOTION_FORMATS[kind].read_head(
         read_again(motion), read_again(companion) if companion else b"", number=number
     )

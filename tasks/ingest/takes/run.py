@@ -37,21 +37,21 @@ from tasks.ingest.takes.parameters import DuetParameters, PersonParameters, Take
 from tasks.stage import Shard
 
 AWAY_M = 1.0
-"""Who touches an object comes nearer than this to it with some joint."""
+"""Distance of joints from an object within which it may be touched."""
 
 
 _HAS_POSITIONS_ONLY = {name for name, kind in MOTION_FORMATS.items() if not kind.has_rotations}
 
 
 _WITH_BETAS = "smpl"
-"""Files of this format say the body: one body of two people is an error."""
+"""Format whose files state the body; equal bodies of two people are an error there."""
 NO_LIMIT = (-1.0, -1.0)
-"""Limits of a figure that is a length and too small past them."""
+"""Limits of a length, which is too small beyond them, so that none fails."""
 
 
 @dataclass(frozen=True)
 class _Person:
-    """One person of a take, as captured and at the study's rate, and where the motion is from."""
+    """One person of a take: motion as captured and at the study's rate, layout and source."""
 
     captured: Motion
     motion: Motion
@@ -95,11 +95,11 @@ class CapturedTake:
     """A take as it was captured, without a store.
 
     Args:
-        people_m: body22 (frame, person, 22, 3), metres, y up, in the files' own place.
-        rate_hz: Frames per second, those of the fastest file.
-        people: How each person's file was read.
-        figures: What was measured of each person.
-        guessed: Verdict on what of the files was guessed.
+        people_m: body22 (frame, person, 22, 3), metres, y up, at the positions in the files.
+        rate_hz: Frames per second of the fastest file.
+        people: Parameters with which each person's file was read.
+        figures: Measurements of each person.
+        guessed: Verdict on what was guessed about the files.
         judged: Verdicts on the capture.
     """
 
@@ -129,7 +129,7 @@ def _files(shard: Shard) -> dict[str, bytes]:
 
 
 def _read_people(parameters: TakeParameters, data: dict[str, bytes]) -> tuple[list[_Person], Verdict]:
-    """Return the people of a take, of as many frames, and the verdict on what of their files was guessed."""
+    """Return the people of a take, with equal numbers of frames, and the verdict on guesses about their files."""
     digests = [person.motion_sha256 for person in parameters.persons]
     motions = [_read(parameters, person, data) for person in parameters.persons]
     layouts = [
@@ -165,12 +165,12 @@ def _read_people(parameters: TakeParameters, data: dict[str, bytes]) -> tuple[li
 
 
 def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[dict[str, Any]]:
-    """Return the contacts of the frames that are taken, counted at the study's rate, which has so many of them."""
+    """Return the contacts in the read frames, converted to the study's rate, which gives `num_frames` frames."""
     first = take.persons[0]
     known = (contact.within(first.first_frame, first.first_frame + first.num_frames) for contact in read_contacts(data))
     stated = []
     for contact in filter(None, known):
-        # The last frame at the study's rate may come before the end of the last frame that is taken.
+        # The last frame at the study's rate may be before the end of the last frame that is read.
         start, stop = (
             int(np.clip(np.ceil((frame / first.rate_hz - first.start_s) * take.rate_hz - 1e-6), 0, num_frames))
             for frame in (contact.start_frame, contact.stop_frame)
@@ -181,7 +181,7 @@ def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[
 
 
 def _objects(take: TakeParameters, data: bytes, up_axis: str, num_frames: int) -> MovingObjects:
-    """Return the objects in the world and at the rate of the study, before the take is put on the floor."""
+    """Return the objects in the world at the rate of the study, before the take is shifted to the floor."""
     first, objects = take.persons[0], read_objects(data)
     ends = objects.ends_m[first.first_frame : first.first_frame + first.num_frames]
     ends = ends * mirror_signs(up_axis) if first.mirrored is True else ends
@@ -192,7 +192,7 @@ def _objects(take: TakeParameters, data: bytes, up_axis: str, num_frames: int) -
 
 
 def _read(take: TakeParameters, person: PersonParameters, files: dict[str, bytes]) -> SourceMotion:
-    """Return the wanted frames of one person's file, or of the person of this number in a file of several."""
+    """Return the wanted frames of one person's file, or of one person in a file of several."""
     data, companion = files[person.motion_sha256], files.get(person.companion_sha256, b"")
     with named(f"take {take.take_id}: {person.source_name}"):
         source = MOTION_FORMATS[person.format].read_person(person.number, data, companion)
@@ -206,7 +206,7 @@ def _verdict(
     mirrors: Sequence[MirrorGuess],
     motions: Sequence[SourceMotion],
 ) -> Verdict:
-    """Say what of a take was guessed, and whether the stages for pairs will pass it over."""
+    """Return the verdict on what was guessed about a take, and whether stages for pairs skip it."""
     unit = min(person.unit_confidence for person in persons)
     up = min(axes, key=lambda axis: axis.confidence)
     reasons = []
@@ -237,9 +237,9 @@ def _commit(
     contacts: Sequence[dict[str, Any]] | None = None,
     objects: MovingObjects | None = None,
 ) -> ArtifactRef:
-    """Check the capture, put the take on the floor where asked, derive the working skeletons and commit.
+    """Check the capture, shift the take to the floor if wanted, derive the working skeletons and commit.
 
-    A take that fails the check is committed without its motion where the study leaves such takes out.
+    A take that fails the check is committed without its motion if the study skips such takes.
     """
     captures, judged = _check(parameters, people, *_captured_together(people))
     take_id = parameters.take_id
@@ -295,7 +295,7 @@ def _commit(
 def _check(
     parameters: DuetParameters | TakeParameters, people: Sequence[_Person], captured_m: Array, rate_hz: float
 ) -> tuple[list[PersonCapture], JudgedCapture]:
-    """Measure and judge the capture of people (frame, person, 22, 3) by what the study allows."""
+    """Measure the capture of people (frame, person, 22, 3), and judge it by the limits of the study."""
     captures = check_capture(captured_m, rate_hz=rate_hz)
     names = [person.source.source_name for person in people] if isinstance(parameters, TakeParameters) else []
     limits = dict(parameters.capture.limits)
@@ -305,7 +305,7 @@ def _check(
 
 
 def _captured_together(people: Sequence[_Person]) -> tuple[Array, float]:
-    """Return body22 as captured (frame, person, 22, 3) and its rate: that of the fastest file, where they differ."""
+    """Return body22 as captured (frame, person, 22, 3), at the rate of the fastest file, and that rate."""
     rate_hz = max(person.captured.rate_hz for person in people)
     motions = [person.captured.resample(rate_hz, start_s=person.source.start_s) for person in people]
     num_frames = min(motion.num_frames for motion in motions)
@@ -329,7 +329,7 @@ def _object_rows(take_id: str, objects: MovingObjects) -> dict[str, Any]:
 
 
 def _far_from(objects: MovingObjects, body22_m: np.ndarray) -> Verdict:
-    """Warn of objects that nobody comes near: of another unit, or in other axes than the people."""
+    """Warn of objects that nobody comes near: their unit or axes may differ from those of the people."""
     far = [
         f"nobody comes nearer than {distance_m - radius_m:.1f} m to '{name}': are these metres, in A's file's axes?"
         for name, radius_m, distance_m in zip(objects.names, objects.radii_m, objects.closest_m(body22_m), strict=True)
@@ -339,7 +339,7 @@ def _far_from(objects: MovingObjects, body22_m: np.ndarray) -> Verdict:
 
 
 def _joined(guessed: Verdict, captured: Verdict) -> Verdict:
-    """Return the worse of two verdicts with the reasons of both, what was captured first."""
+    """Return the worse of two verdicts with the reasons of both, those of the capture first."""
     level = max((guessed.level, captured.level), key=lambda one: one.rank)
     return replace(guessed, level=level, reason="; ".join(filter(None, (captured.reason, guessed.reason))))
 

@@ -1,4 +1,4 @@
-"""Virtual video in a study, and the parameters of its shards."""
+"""Virtual video in a study, and parameters of its shards."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from tasks.facts import Purpose
 from tasks.stage import Parameters
 
 UNIFORM_PITCH_DEG = 1e9
-"""A deviation of the pitch from here on means uniform; JSON knows no infinity."""
+"""Deviations of the pitch from this one on mean uniform, because JSON has no infinity."""
 
 
 class VirtualCameras(Parameters):
-    """Places and views of virtual cameras."""
+    """Positions and views of virtual cameras."""
 
     distance_m: float = Field(
         4.0,
@@ -31,7 +31,7 @@ class VirtualCameras(Parameters):
 
 
 class VirtualVideoOptions(VirtualCameras):
-    """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
+    """Virtual cameras: views of takes, drawn at random, as the default source of 2D annotations."""
 
     takes: tuple[str, ...] | None = Field(None, description="Takes that are seen; all by default")
     num_videos: int = Field(1, ge=0, le=100, description="Cameras that see each whole take")

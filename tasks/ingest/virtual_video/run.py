@@ -1,4 +1,4 @@
-"""The work of a shard of virtual video: a take seen through virtual cameras, as annotations and true cameras."""
+"""The work of a shard of virtual video: annotations of a take by virtual cameras, and the true cameras."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from tasks.takes import read_motion
 NEIGHBOURS = 2
 """Frames kept on either side of a randomly viewed pair, for velocity only (Yin et al. 2018, section 6)."""
 GOOD_SHARE_INSIDE, POOR_SHARE_INSIDE = 0.9, 0.5
-"""Share of the joints that are in the image: below the first a video is doubted, below the second useless."""
+"""Share of joints inside the image below which a video gets a warning, and below which it fails."""
 
 _OWN_OP14 = OP14.indices(["head", "neck"])
-"""Joints of op14 that stand for other points than those of the same name in pair17: nose, middle of the shoulders."""
+"""Joints of op14 with another meaning than in pair17: nose and middle of the shoulders."""
 
 _LAYOUT = KeypointLayout(
     name="virtual",
@@ -50,20 +50,20 @@ _LAYOUT = KeypointLayout(
         },
     },
 )
-"""What virtual cameras see: pair17, then the two of op14's own."""
+"""Keypoints of virtual cameras: pair17, then the two of op14 with another meaning."""
 
 Columns = dict[str, Any]
 
 _MISSED = 0.1
 """Share of the joints that a detector misses, each on its own."""
 _NUM_JUNK_JOINTS = 3
-"""Joints of everybody in every frame that it puts anywhere in the image, with a confidence below 0.2."""
+"""Number of joints of each person and frame at random places of the image, with a confidence below 0.2."""
 _PASSER_BY_SHARE = 0.25
 """Share of the time in which a third person walks through."""
 
 
 def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -> ArtifactRef:
-    """See a take through virtual cameras: whole, or pairs from random views with two frames on either side."""
+    """Project a take through virtual cameras: whole videos, or random views with two frames on either side."""
     take_id, count = parameters.take_id, parameters.count
     (manifest,) = followed(shard, store)
     take = TakeFacts.of(manifest)
@@ -73,7 +73,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     pair17, op14 = poses["pair17_m"], poses["op14_m"]
     num_frames, num_persons = pair17.shape[:2]
 
-    # A detector looks through the same cameras with the same noise; what it adds is drawn apart.
+    # A detector has the same cameras and the same noise; its faults are drawn from another stream.
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)
     faults = stream(shard.seed, "ingest", take_id, "detector")
     deviation = parameters.pitch_deviation_deg
@@ -138,7 +138,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
 
 
 def _verdict(shares_inside: Sequence[float]) -> Verdict:
-    """Say whether the people are in the image, of each sequence."""
+    """Judge the video by the share of joints inside the image."""
     level, share_inside = Level.PASS, float(np.mean(shares_inside))
     if share_inside < GOOD_SHARE_INSIDE:
         level = Level.FAIL if share_inside < POOR_SHARE_INSIDE else Level.WARN
@@ -148,7 +148,7 @@ def _verdict(shares_inside: Sequence[float]) -> Verdict:
 
 
 def _key_frames(rng: np.random.Generator, num_frames: int, count: int) -> np.ndarray:
-    """Draw the frames that are annotated, each at most once more than any other, neighbours inside the take."""
+    """Draw the annotated frames, with neighbours inside the take; counts differ by at most one."""
     low, high = (NEIGHBOURS, num_frames - NEIGHBOURS) if num_frames > 2 * NEIGHBOURS else (0, num_frames)
     rounds = [rng.permutation(np.arange(low, high)) for _ in range(-(-count // (high - low)))]
     return np.concatenate(rounds)[:count]
@@ -173,9 +173,9 @@ def _detect(
     op14: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[ResolvedSequence, np.ndarray]:
-    """Return what is resolved of the people that a detector sees, and who each row really is (row,).
+    """Return the resolved sequence of a virtual detector, and the true person of each row (row,).
 
-    A passer-by is one more person than the take has.  People are listed in random order in every frame.
+    A passer-by is added to the people of the take.  People are in random order in every frame.
     """
     px, confidence = seen.px, seen.confidence
     count = round(_PASSER_BY_SHARE * len(pair17))
@@ -206,9 +206,9 @@ def _detect(
 
 
 def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray) -> tuple[Columns, DetectedSequence]:
-    """Return the columns of a detector's sequence, and how well people were identified.
+    """Return the columns of a detector's sequence, and scores of the identities.
 
-    People are numbered as the take numbers who they are for most of the time; all others come after those.
+    A resolved person gets the number of the true person who it is most often; others get numbers after those.
     """
     people, person = np.unique(resolved.rows.person_id, return_inverse=True)
     counts = np.zeros((len(people), int(true_id.max()) + 1), dtype=np.int64)
@@ -243,7 +243,7 @@ def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray)
 
 
 def _known(frames: np.ndarray, key: int | None, seen: Annotated) -> Columns:
-    """Return the columns of a sequence whose people are known."""
+    """Return the columns of a sequence with known people."""
     num_frames, num_persons = seen.confidence.shape[:2]
     count = num_frames * num_persons
     flat = Annotated(merge_axes(seen.px, 0, 2), merge_axes(seen.confidence, 0, 2))
@@ -289,7 +289,7 @@ def _rows(
         "op14_confidence": op14.confidence,
         "image_width_px": [width] * count,
         "image_height_px": [height] * count,
-        # As with a user's video, nobody knows the lens; `cameras` does.
+        # The lens is unknown, as for a user's video; it is in `cameras`.
         "focal_px": [None] * count,
         **columns,
     }

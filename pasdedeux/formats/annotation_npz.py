@@ -54,10 +54,9 @@ def read_annotation_npz(
     if "focal_px" in arrays:
         focal_px = check_range(float(get_array(arrays, "focal_px", "fiu", ())), "'focal_px'", *FOCAL_PX)
     table = np.concatenate([keypoints, confidence[..., None]], axis=-1)
-    places = zip(sequence, frame.tolist(), person.tolist(), table, strict=True)
-    arranged = arrange(
-        [Detection((name, at), number, one, f"frame {at}", None, names) for name, at, number, one in places], layout
-    )
+    listed = zip(sequence, frame.tolist(), person.tolist(), table, strict=True)
+    detections = [Detection((name, at), who, points, f"frame {at}", None, names) for name, at, who, points in listed]
+    arranged = arrange(detections, layout)
     return AnnotatedFrames.of(
         arranged.layout,
         sequence_id=sequence,

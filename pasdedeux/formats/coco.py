@@ -214,14 +214,14 @@ def _people(listed: list[Any]) -> Iterator[_Item]:
     refused.
     """
     missing = ""
-    for index, one in enumerate(listed):
+    for index, entry in enumerate(listed):
         where = f"annotation {index}"
-        content = one if isinstance(one, dict) else {}
+        content = entry if isinstance(entry, dict) else {}
         if isinstance(content.get("instances"), list):
-            image = next((one[key] for key in _FRAME_KEYS if key in one), index)
-            people = [(person, f"{where}, person {number}") for number, person in enumerate(one["instances"])]
+            image = next((content[key] for key in _FRAME_KEYS if key in content), index)
+            people = [(person, f"{where}, person {number}") for number, person in enumerate(content["instances"])]
         else:
-            image, people = content.get("image_id"), [(one, where)]
+            image, people = content.get("image_id"), [(entry, where)]
         for person, inside in people:
             keypoints = person.get("keypoints") if isinstance(person, dict) else ""
             if keypoints is not None and not isinstance(keypoints, list):
@@ -332,7 +332,7 @@ def _places_of_images(images: object) -> tuple[dict[int | str, Place], dict[str,
         counts[video] += 1
         places[image_id] = by_name[image["file_name"]] if by_name else (video, frame)
         sizes.setdefault(places[image_id][0], set()).add(image_size(image))
-    return places, {video: size for video, found in sizes.items() if len(found) == 1 for size in found if size}
+    return places, {video: size for video, (size, *others) in sizes.items() if size and not others}
 
 
 def _is_count(value: object) -> bool:

@@ -50,7 +50,7 @@ def read_cvat(
     places = _places(images)
     for image, place in zip(images, places, strict=True):
         people = list(image.iterfind("skeleton"))
-        groups = [parse_integer(one.get("group_id", "0") or "0", f"frame {place[1]}: group_id") for one in people]
+        groups = [parse_integer(person.get("group_id") or "0", f"frame {place[1]}: group_id") for person in people]
         is_numbered = len(set(groups)) == len(groups) and all(groups)
         has_numbers &= is_numbered or len(people) < 2
         for order, skeleton in enumerate(people):

@@ -228,7 +228,7 @@ def arrange(
     table = np.tile([np.nan, np.nan, 0.0], (len(detections), known.num_keypoints, 1))
     status = np.zeros(table.shape[:2], dtype=np.int64)
     places = {names: known.find_keypoints(names) for names in named if names is not None}
-    used = {name for names, found in places.items() for name in (names[at] for at in found if at is not None)}
+    used = {names[at] for names, columns in places.items() for at in columns if at is not None}
     left_out = [name for name in dict.fromkeys(name for names in places for name in names) if name not in used]
     strange = [name for name in left_out if is_strict and not is_joint(name)]
     if layout == "auto" and strange:
@@ -241,13 +241,12 @@ def arrange(
         raise FormatError(
             f"{detections[0].where}: joint '{shorten(left_out[0])}' is not in the layout '{known.name}'; known: {names}"
         )
-    for row, one in enumerate(detections):
-        found = places[one.names or ()]
-        columns = [column for column, at in enumerate(found) if at is not None]
-        order = [at for at in found if at is not None]
-        table[row, columns] = one.table[order]
-        if one.status is not None:
-            status[row, columns] = np.array(one.status)[order]
+    for row, detection in enumerate(detections):
+        known_at = [(column, at) for column, at in enumerate(places[detection.names or ()]) if at is not None]
+        columns, order = ([pair[end] for pair in known_at] for end in (0, 1))
+        table[row, columns] = detection.table[order]
+        if detection.status is not None:
+            status[row, columns] = np.array(detection.status)[order]
     has_status = all(detection.status is not None for detection in detections)
     remarks = (f"joints left out that '{known.name}' lacks: {_listed(left_out)}",) if left_out else ()
     return Arranged(known, table, status if has_status else None, remarks)
@@ -287,7 +286,8 @@ def _of_numbers(detections: Sequence[Detection], layout: str | KeypointLayout, *
         for detection in detections
         if detection.status
     ]
-    alike = [one for one in KEYPOINT_LAYOUTS.values() if one.num_keypoints == asked.num_keypoints and one not in known]
+    alike = [other for other in KEYPOINT_LAYOUTS.values() if other.num_keypoints == asked.num_keypoints]
+    alike = [other for other in alike if other not in known]
     remarks: tuple[str, ...] = ()
     if layout == "auto" and alike:  # their keypoints have the same places
         remarks = (f"keypoints without names taken as '{asked.name}', not {_either(alike, mark=True)} (layout)",)

@@ -63,7 +63,7 @@ def turn_joints(angles_rad: Array, channels: Sequence[str], *, is_first_outermos
         alike["".join(letters[at] for at in turns)].append((joint, [column + at for at in turns]))
         column += len(letters)
     for axes, joints in alike.items():  # joints with the same axes together
-        columns = [own for _, own in joints]
+        columns = [channels_of for _, channels_of in joints]
         turned[:, [joint for joint, _ in joints]] = unitquat_from_euler(angles_rad[:, columns], axes)
     return turned
 

@@ -34,7 +34,7 @@ def read_people(data: bytes | str) -> list[Detection]:
             continue
         if len(numbers) % 3 or len(numbers) // 3 not in LAYOUTS_OF_COUNT:
             counts = ", ".join(
-                f"{3 * count} ({' or '.join(one.name for one in some)})" for count, some in LAYOUTS_OF_COUNT.items()
+                f"{3 * count} ({' or '.join(kind.name for kind in kinds)})" for count, kinds in LAYOUTS_OF_COUNT.items()
             )
             raise FormatError(f"{where} has {counted(len(numbers), 'value')} in 'pose_keypoints_2d'; allowed: {counts}")
         table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")

@@ -80,8 +80,8 @@ class BodyMap:
         """Return for each joint of body22 the name of the equal source joint; empty if there is none."""
         is_one = (np.count_nonzero(self.weight, axis=1) == 1) & ~self.offset_m.any(axis=(1, 2))
         return [
-            skeleton.joint_names[joint] if one else ""
-            for one, joint in zip(is_one, self.weight.argmax(axis=1), strict=True)
+            skeleton.joint_names[joint] if is_equal else ""
+            for is_equal, joint in zip(is_one, self.weight.argmax(axis=1), strict=True)
         ]
 
     def of(self, motion: Motion) -> Array:
@@ -152,7 +152,7 @@ class OwnSkeleton:
         held = np.zeros(skeleton.num_joints)
         for joint in skeleton.order[1:]:
             hold[joint, joint] = _HOLD_SCALE * max(float(length[joint]), _SHORTEST_M)
-            ends = [one for one, (end, _) in self._ends.items() if end == joint] or self._aims[joint]
+            ends = [body_joint for body_joint, (end, _) in self._ends.items() if end == joint] or self._aims[joint]
             before = skeleton.parents[joint]
             while before != skeleton.root and length[before] == 0:
                 before = skeleton.parents[before]
@@ -272,7 +272,7 @@ class OwnSkeleton:
         ends: dict[int, tuple[int, bool]] = {}
         for joint in range(BODY22.num_joints):
             needed = np.flatnonzero(self.body.weight[joint])
-            last = [one for one in needed if not any(other in self._below[one] for other in needed)]
+            last = [source for source in needed if not self._below[source].intersection(needed)]
             if len(last) == 1:
                 ends[joint] = (int(last[0]), bool(self.body.offset_m[joint, last[0]].any()))
         exact = {end for joint, end in ends.items() if joint in self._exact}

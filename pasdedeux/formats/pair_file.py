@@ -100,7 +100,7 @@ def write_pair_json(pair: PairFile) -> str:
         },
     }
     text = json.dumps(tree, indent=1, ensure_ascii=False)
-    return _TRIPLE.sub(lambda found: f"[{', '.join(found.groups())}]", text) + "\n"
+    return _TRIPLE.sub(lambda match: f"[{', '.join(match.groups())}]", text) + "\n"
 
 
 def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:

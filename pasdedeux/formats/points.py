@@ -147,7 +147,7 @@ def _of_frames(content: Any) -> Iterator[Detection]:
     content = frames = _by_frame(content)
     if isinstance(content, dict):
         are_frames = not _is_pose(content) and all(
-            _is_nested(one) and re.search(r"\d", key) for key, one in content.items()
+            _is_nested(inner) and re.search(r"\d", key) for key, inner in content.items()
         )
         are_numbers = all(re.fullmatch(r"[0-9]{1,9}", key) for key in content)
         places = (
@@ -232,8 +232,8 @@ def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | 
     elif isinstance(value, dict) and any(key in value for key in _POSE_KEYS):
         yield from _poses(next(value[key] for key in _POSE_KEYS if key in value), person)
     elif isinstance(value, dict) and all(map(_is_nested, value.values())):
-        for key, one in value.items():
-            yield from _poses(one, int(key) if re.fullmatch(r"[0-9]{1,9}", key) else key)
+        for key, inner in value.items():
+            yield from _poses(inner, int(key) if re.fullmatch(r"[0-9]{1,9}", key) else key)
     else:
         raise FormatError("a pose must be a list of points with x and y")
 

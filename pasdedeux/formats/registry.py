@@ -38,10 +38,10 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 F = TypeVar("F", MotionFormat, AnnotationFormat)
 
 MOTION_FORMATS: Mapping[str, MotionFormat] = {
-    one.name: one for one in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, TRC, SMPL)
+    kind.name: kind for kind in (BVH, ASF_AMC, ROTATION_ROWS, POSITIONS_NPZ, EXPI, C3D, TRC, SMPL)
 }
 ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
-    one.name: one for one in (OPENPOSE, COCO, IMAGE_RESULTS, POINTS, CVAT, YOLO, ANNOTATION_CSV, ANNOTATION_NPZ)
+    kind.name: kind for kind in (OPENPOSE, COCO, IMAGE_RESULTS, POINTS, CVAT, YOLO, ANNOTATION_CSV, ANNOTATION_NPZ)
 }
 
 

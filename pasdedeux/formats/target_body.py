@@ -130,12 +130,12 @@ def fit_body(target: TargetBody, own_skeleton: OwnSkeleton, lengths_m: Array, *,
     between = chains[pairs[:, 1]] - chains[pairs[:, 0]]
     scale = np.ones(BODY22.num_joints)
 
-    def found(scale: Array, pairs: Array = pairs) -> tuple[Array, Array]:
+    def measured(scale: Array, pairs: Array = pairs) -> tuple[Array, Array]:
         joints = place_bones(BODY22, np.zeros(3), directions, lengths_m * scale)
         vector = joints[pairs[:, 1]] - joints[pairs[:, 0]]
         return np.linalg.norm(vector, axis=-1), vector
 
-    size = float(np.median(wanted / np.maximum(found(scale)[0], 1e-9)))
+    size = float(np.median(wanted / np.maximum(measured(scale)[0], 1e-9)))
     if not SIZE[0] <= size <= SIZE[1]:
         raise InputError(
             f"{target.name}: this body would be {size:.3g} times the size of {who}; "
@@ -147,7 +147,7 @@ def fit_body(target: TargetBody, own_skeleton: OwnSkeleton, lengths_m: Array, *,
     alike = np.concatenate([_HOLD_SIDES_M * sides, _HOLD_TRUNK_M * trunk])
     is_every_bone = set(asked) == set(BODY22.bones)
     for _ in range(0 if is_every_bone else _NUM_ROUNDS):
-        distances, vector = found(scale)
+        distances, vector = measured(scale)
         unit = vector / np.maximum(distances, 1e-9)[:, None]
         slope = between * (unit @ (directions * lengths_m[:, None]).T)
         rows = [slope, alike, _HOLD_BODY_M * every]
@@ -159,7 +159,7 @@ def fit_body(target: TargetBody, own_skeleton: OwnSkeleton, lengths_m: Array, *,
     is_measured = np.abs(between).sum(axis=0) > 0
     is_measured |= is_measured[list(BODY22.mirror)]
     compared = {**target.distances_m, **target.checks_m}
-    misfit = found(scale, np.array(list(compared)))[0] - np.array(list(compared.values()))
+    misfit = measured(scale, np.array(list(compared)))[0] - np.array(list(compared.values()))
     misfit_m = dict(zip(compared, misfit.tolist(), strict=True))
     return BodyFit(scale, misfit_m, int((~is_measured[1:]).sum()))
 

@@ -102,7 +102,7 @@ def find_breaks(
         off = max(float(np.linalg.norm(step - moved_s * speed)) for speed in (end.speed_px_s, start.speed_px_s)) / size
         is_clear = growth <= _CLEAR_GROWTH and max(apart, off) <= _CLEAR_SIZES
         breaks.append((apart, Break(before, after, *spans[after], is_clear)))
-    return _nearest([one for _, one in sorted(breaks, key=lambda one: one[0])])
+    return _nearest([gap for _, gap in sorted(breaks, key=lambda ranked: ranked[0])])
 
 
 def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, is_last: bool) -> _TrackEnd:
@@ -117,11 +117,11 @@ def _end(frame: Integers, points: Array, confidence: Array, rate_hz: float, *, i
 def _nearest(breaks: Sequence[Break]) -> list[Break]:
     """Return the nearest break of each person; it is not clear if others compete with it."""
     broken: list[Break] = []
-    for one in breaks:
-        if any(one.before == other.before or one.after == other.after for other in broken):
+    for gap in breaks:
+        if any(gap.before == other.before or gap.after == other.after for other in broken):
             continue
-        rivals = [other for other in breaks if other.before == one.before or other.after == one.after]
-        broken.append(one if len(rivals) == 1 else replace(one, is_clear=False))
+        rivals = [other for other in breaks if other.before == gap.before or other.after == gap.after]
+        broken.append(gap if len(rivals) == 1 else replace(gap, is_clear=False))
     return broken
 
 
@@ -129,7 +129,7 @@ def join_breaks(sequence_id: str, breaks: Sequence[Break]) -> list[Decision]:
     """Return decisions that join the clear breaks; a person who is lost several times stays one person."""
     first: dict[int, int] = {}
     rows = []
-    for one in sorted((broken for broken in breaks if broken.is_clear), key=lambda broken: broken.first_frame):
-        first[one.after] = first.get(one.before, one.before)
-        rows.append(replace(one.joined(sequence_id), is_person=first[one.after]))
+    for gap in sorted((gap for gap in breaks if gap.is_clear), key=lambda gap: gap.first_frame):
+        first[gap.after] = first.get(gap.before, gap.before)
+        rows.append(replace(gap.joined(sequence_id), is_person=first[gap.after]))
     return rows

@@ -89,13 +89,13 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
     source_joint = np.zeros(is_seen.shape, dtype=np.int64) + np.arange(14)
     is_masked = np.zeros(is_seen.shape, dtype=bool)
     spans = [_span(seen.any(axis=-1)) for seen in is_seen]
-    for person, own in enumerate(spans):
-        if own.stop - own.start < 3:
+    for person, span in enumerate(spans):
+        if span.stop - span.start < 3:
             continue
-        source = repair_sides(_trusted(points[person, own], weight[person, own]), rate_hz=rate_hz)
-        points[person, own] = np.take_along_axis(points[person, own], source[..., None], axis=1)
-        weight[person, own] = np.take_along_axis(weight[person, own], source, axis=1)
-        source_joint[person, own] = source
+        source = repair_sides(_trusted(points[person, span], weight[person, span]), rate_hz=rate_hz)
+        points[person, span] = np.take_along_axis(points[person, span], source[..., None], axis=1)
+        weight[person, span] = np.take_along_axis(weight[person, span], source, axis=1)
+        source_joint[person, span] = source
     for both in combinations(range(people), 2):
         common = range(max(spans[person].start for person in both), min(spans[person].stop for person in both))
         if len(common) < 3:
@@ -106,9 +106,9 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
         for given in (points, weight, source_person, source_joint):
             two = given[at]
             given[at] = np.where(exchanged.reshape(1, *exchanged.shape, *(1,) * (two.ndim - 3)), two[::-1], two)
-    for person, own in enumerate(spans):
-        if own.stop - own.start >= 3:
-            is_masked[person, own] = wild_joints(points[person, own], weight[person, own], rate_hz=rate_hz)
+    for person, span in enumerate(spans):
+        if span.stop - span.start >= 3:
+            is_masked[person, span] = wild_joints(points[person, span], weight[person, span], rate_hz=rate_hz)
     points = np.where(is_masked[..., None], np.nan, points)
     return RepairedCrowd(points, np.where(is_masked, 0.0, weight), source_person, source_joint, is_masked)
 
@@ -231,8 +231,8 @@ def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float) -> In
     cost = unary[:, None] + unary[None, :] + switch  # (state of frame 0, state of frame 1)
     back = np.zeros((frames, count, count), dtype=np.int64)
     for frame in range(2, frames):
-        before, last, this = scaled[frame - 2], scaled[frame - 1], scaled[frame]
-        second = this[None, None] - 2.0 * last[None, :, None] + before[:, None, None]
+        before, last, current = scaled[frame - 2], scaled[frame - 1], scaled[frame]
+        second = current[None, None] - 2.0 * last[None, :, None] + before[:, None, None]
         away = np.sqrt(np.sum(second**2, axis=-1))
         known = np.isfinite(away)
         bend = np.where(known, away, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)

@@ -179,7 +179,7 @@ class Follower:
         """End the tracks of parts of people who are seen whole in this frame."""
         tracked = {person.track_id for person in matched.values()}
         for index, person in matched.items():
-            for other in [one for one in self._people if one.track_id not in tracked]:
+            for other in [track for track in self._people if track.track_id not in tracked]:
                 is_recent = time_s - other.last_time_s <= _FRAGMENT_MEMORY_S
                 parts = [(track.place_px, track.is_known) for track in (person, other)]
                 is_part = _are_parts(*parts[0], *parts[1], person.size_px)

@@ -98,13 +98,13 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
     little.
     """
     cost = np.empty(points.shape[0])
-    own = np.zeros(2)
+    middle = np.zeros(2)
     num_known = 0
     for joint in range(is_known.shape[0]):
         if is_known[joint]:
             num_known += 1
-            own += predicted[joint]
-    own /= num_known
+            middle += predicted[joint]
+    middle /= num_known
     for at in range(points.shape[0]):
         total, both, weight, num_seen = 0.0, 0, 0.0, 0
         centre = np.zeros(2)
@@ -122,7 +122,7 @@ def match_costs(predicted: Array, is_known: Flags, own_size: float, points: Arra
         if both >= 2:
             cost[at] = total / weight
         else:
-            cost[at] = np.hypot(centre[0] - own[0], centre[1] - own[1]) / own_size
+            cost[at] = np.hypot(centre[0] - middle[0], centre[1] - middle[1]) / own_size
         cost[at] += _SIZE_COST * abs(np.log(size[at] / own_size)) + _NEW_COST * (1.0 - both / num_seen)
     return cost
 

@@ -58,14 +58,14 @@ def partners_of(paths: Iterable[PurePath]) -> list[tuple[PurePath, ...]]:
         for group in _differing(parts, -1 - at):
             if len(group) > 1 and all(_PERSON.fullmatch(parts[path][-1 - at]) for path in group):
                 partners.append(group)
-                parts = {path: own for path, own in parts.items() if path not in group}
+                parts = {path: words for path, words in parts.items() if path not in group}
     while parts:
-        folder, length = next((path.parent, len(own)) for path, own in parts.items())
-        same = {path: own for path, own in parts.items() if (path.parent, len(own)) == (folder, length)}
+        folder, length = next((path.parent, len(words)) for path, words in parts.items())
+        same = {path: words for path, words in parts.items() if (path.parent, len(words)) == (folder, length)}
         ways = [_differing(same, at) for at in range(length)] or [[[path] for path in same]]
         likeliest = min(ways, key=_likelihood)
         partners += likeliest
-        parts = {path: own for path, own in parts.items() if path not in same}
+        parts = {path: words for path, words in parts.items() if path not in same}
     return sorted(map(tuple, partners))
 
 
@@ -91,9 +91,9 @@ def _parts(path: PurePath) -> tuple[str, ...]:
 def _differing(parts: Mapping[PurePath, tuple[str, ...]], at: int) -> list[list[PurePath]]:
     """Group files whose names differ only in the part at one place."""
     groups: dict[tuple[str, ...], list[PurePath]] = {}
-    for path, own in parts.items():
-        place = at % len(own) if -len(own) <= at < len(own) else len(own)
-        groups.setdefault((*own[:place], f"{place}", *own[place + 1 :]), []).append(path)
+    for path, words in parts.items():
+        place = at % len(words) if -len(words) <= at < len(words) else len(words)
+        groups.setdefault((*words[:place], f"{place}", *words[place + 1 :]), []).append(path)
     return list(groups.values())
 
 

@@ -139,7 +139,7 @@ class SequenceRows:
 
     def chosen(self, rows: Integers | Flags) -> SequenceRows:
         """Return the selected rows."""
-        return SequenceRows(*(getattr(self, one.name)[rows] for one in fields(self)))
+        return SequenceRows(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -249,24 +249,23 @@ def resolve_sequence(
     reason = why_no_video(rows.frame)
     if not reason and (is_followed or not has_identities):
         reason = why_not_followed(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
-    merged = ghosts = repaired = renamed = 0
-    if is_followed and not reason:
-        followed = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
-        is_person = followed.track_id >= 0
-        rows = _merged(replace(rows, person_id=followed.track_id), followed.twin).chosen(is_person[followed.twin < 0])
-        merged, ghosts = followed.num_merged, followed.num_ghosts
-    elif settings.identities == "auto" and not reason:
-        followed = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id)
-        person_id = _names_of(rows, followed.track_id)
-        renamed = int(np.count_nonzero((person_id != rows.person_id) & (followed.twin < 0)))
-        rows, merged = _merged(replace(rows, person_id=person_id), followed.twin), followed.num_merged
     has_numbers = has_identities or not reason
+    merged = ghosts = repaired = renamed = 0
     joined: list[Decision] = []
     if settings.identities != "given" and not reason:
+        given_id = None if is_followed else rows.person_id
+        followed = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=given_id)
+        person_id = followed.track_id if is_followed else _names_of(rows, followed.track_id)
+        if is_followed:
+            ghosts = followed.num_ghosts
+        else:
+            renamed = int(np.count_nonzero((person_id != rows.person_id) & (followed.twin < 0)))
+        rows, merged = _merged(replace(rows, person_id=person_id), followed.twin), followed.num_merged
+        rows = rows.chosen(rows.person_id >= 0)
         seen = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
         breaks = find_breaks(rows.frame, rows.person_id, seen.positions, seen.confidence, rate_hz=rate_hz)
         stated = {name for row in decisions for name in (row.person, row.is_person)}
-        joined = join_breaks(sequence_id, [one for one in breaks if not {one.before, one.after} & stated])
+        joined = join_breaks(sequence_id, [gap for gap in breaks if not {gap.before, gap.after} & stated])
     decided = decide(sequence_id, rows.frame, rows.person_id, [*decisions, *joined], is_start=is_start)
     spans = spans_of(sequence_id, rows.frame, rows.person_id, decided) if has_numbers else []
     rows = replace(rows, person_id=decided).chosen(decided >= 0)
@@ -333,6 +332,6 @@ def _partners(
         seen = (rows.frame[group], rows.person_id[group], op14.positions[group], op14.confidence[group])
         pairs = choose_pairs(*seen, couples)
         for pair in pairs:
-            for one, other in ((pair.first, pair.second), (pair.second, pair.first)):
-                partner[group[rows.person_id[group] == one]] = other
+            for person, other in ((pair.first, pair.second), (pair.second, pair.first)):
+                partner[group[rows.person_id[group] == person]] = other
     return (pairs if has_identities else []), partner

@@ -62,7 +62,7 @@ def _calibrations(parameters: IngestParameters) -> dict[str, tuple[str, str]]:
     Raises:
         InputError: A file is missing or damaged, or does not fit the cameras.
     """
-    found: dict[str, tuple[str, str]] = {}
+    calibrations: dict[str, tuple[str, str]] = {}
     for source in parameters.sources_2d:
         if source.calibration is None:
             continue
@@ -71,8 +71,8 @@ def _calibrations(parameters: IngestParameters) -> dict[str, tuple[str, str]]:
         with named(f"calibration of '{source.id}', {source.calibration.name}"):
             cameras, _ = choose_cameras(read_calibration(data), names)
         text = data.decode("utf-8-sig")
-        found |= {name: (text, camera.table) for name, camera in zip(names, cameras, strict=True)}
-    return found
+        calibrations |= {name: (text, camera.table) for name, camera in zip(names, cameras, strict=True)}
+    return calibrations
 
 
 def _calibrated(parameters: AnnotationParameters, calibration: tuple[str, str] | None) -> AnnotationParameters:

@@ -321,7 +321,7 @@ class _Drafting:
         parts = ARM if kind == "arm" else LEG
         inner = [at for at in range(1, len(branch)) if not self._normal[branch[at]][1].endswith(_END_WORDS)]
         named = [[at for at in inner if self._means(branch[at]) == {part}] for part in parts]
-        told = [found[0] if len(found) == 1 else place for found, place in zip(named, places, strict=True)]
+        told = [matches[0] if len(matches) == 1 else place for matches, place in zip(named, places, strict=True)]
         start, _, end = told = told if told[0] < told[1] < told[2] else list(places)
         limb = {part: branch[place] for part, place in zip(parts, told, strict=True)}
         if kind == "arm" and start > 1:

@@ -87,7 +87,7 @@ class KeypointLayout:
         """Return pairs of keypoints to connect in drawings, by their numbers, counted from `first`.
 
         >>> KEYPOINT_LAYOUTS["op14"].links()[:3]
-        [[10, 9], [9, 8], [8, 1]]
+        [[13, 12], [12, 11], [10, 9]]
         """
         place = {name: at for at, name in enumerate(self.keypoint_names, start=first)}
         lines = [[name for name in chain if name in place] for chain in _CHAINS]

@@ -16,9 +16,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.image_names import STILLS_STEP, places_of_names
 from pasdedeux.plain_text import counted
+from tasks.ingest.files import find_file
 from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
 from tasks.stage import SourceFile
-from tasks.user_files import digest_of, open_file
+from tasks.user_files import open_file
 
 Image = npt.NDArray[np.uint8]
 
@@ -134,7 +135,7 @@ def open_film(path: Path) -> Film:
             )
         if gap is not None:
             raise InputError(f"folder {path}: the image before {gap} is missing; images are numbered without gaps")
-    files = tuple(SourceFile(path=str(one), sha256=digest_of(one)) for one in paths)
+    files = tuple(map(find_file, paths))
     return _scanned(files, first_number)
 
 

@@ -171,7 +171,7 @@ class CorrectedShot:
         if start > 0:
             after_s = float(self._times_s[start - 1]) if (np.diff(self._times_s) > 0).all() else None
         film = self._files[self._parameters.num_given + self._parameters.num_networks :]
-        return (one.image for one in read_film(film, begin + start, begin + stop, after_s=after_s))
+        return (frame.image for frame in read_film(film, begin + start, begin + stop, after_s=after_s))
 
 
 def shot_images(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Iterator[Any]:
@@ -264,14 +264,14 @@ def _shots_of(
     camera = None
     if given is not None:
         cameras = find_cameras(given, options.format)
-        camera = next((one for one in cameras if is_named_after(one.name, path.stem)), cameras[0])
+        camera = next((other for other in cameras if is_named_after(other.name, path.stem)), cameras[0])
         if len(cameras) > 1 and not is_named_after(camera.name, path.stem):
             raise InputError(f"{given} holds several cameras, none of them named like {path.name}")
     rate_hz = options.rate_hz or film.rate_hz or ASSUMED_RATE_HZ
     starts = [*(film.starts if options.has_cuts else (0,)), film.num_frames]
     base = f"{options.id}.{name}" if name else options.id
     files = tuple(map(find_file, camera.paths)) if camera else ()
-    numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([one.name for one in camera.paths]) if camera else []
+    numbers = ANNOTATION_FORMATS[camera.format].frame_numbers([file.name for file in camera.paths]) if camera else []
     common = options.model_dump(
         exclude={"id", "path", "format", "keys", "detections", "detect", "has_cuts", *SOURCE_FILES}
     )

@@ -88,9 +88,9 @@ def _pictures(parameters: FilmParameters, files: tuple[SourceFile, ...], frames:
     in_clip = range(middle - _CLIP_IMAGES, middle + _CLIP_IMAGES, 2)
     first = parameters.first_number + parameters.first_frame
     sheet, clip = [], []
-    for number, one in enumerate(shot_images(parameters, files), start=first):
+    for number, frame in enumerate(shot_images(parameters, files), start=first):
         if number in on_sheet or number in in_clip:
-            drawn = draw_people(one.image, frames, number)
+            drawn = draw_people(frame.image, frames, number)
             sheet += [(f"frame {number}", drawn)] if number in on_sheet else []
             clip += [contact_sheet([drawn], [f"frame {number}"])] if number in in_clip else []
     rate_hz = 0.5 * (frames.rate_hz or DEFAULT_RATE_HZ)

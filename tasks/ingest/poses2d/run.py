@@ -48,7 +48,8 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
     rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
     count = frames.num_rows
-    why_no_video = {one.sequence_id: one.why_not_followed for one in resolved.sequences if one.why_not_followed}
+    reasons = {sequence.sequence_id: sequence.why_not_followed for sequence in resolved.sequences}
+    stills = {sequence_id: reason for sequence_id, reason in reasons.items() if reason}
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
         shard,
@@ -60,7 +61,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
                 "is_held_out": parameters.is_held_out
-                | is_left_out(frames.sequence_id, frames.frame, parameters.leave_one_out_every, why_no_video),
+                | is_left_out(frames.sequence_id, frames.frame, parameters.leave_one_out_every, stills),
                 "take_id": [parameters.take_id] * count,
                 "take_frame": [None] * count,
                 "layout": [frames.layout] * count,
@@ -97,7 +98,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
                 for sequence in resolved.sequences
                 for pair in sequence.pairs
             )[:MAX_NAMED_FILES],
-            why_no_video=why_no_video,
+            why_no_video=stills,
             num_merged_rows=sum(sequence.num_merged_rows for sequence in resolved.sequences),
             num_ghost_rows=sum(sequence.num_ghost_rows for sequence in resolved.sequences),
             num_repaired_joints=sum(sequence.num_repaired_joints for sequence in resolved.sequences),

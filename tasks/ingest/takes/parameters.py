@@ -74,8 +74,8 @@ class PersonOptions(Parameters):
 
     def over(self, take: PersonOptions) -> PersonOptions:
         """Return the options of the take, overridden by these."""
-        mine = {name: value for name in PersonOptions.model_fields if (value := getattr(self, name)) is not None}
-        return take.part(PersonOptions).model_copy(update=mine)
+        stated = {name: value for name in PersonOptions.model_fields if (value := getattr(self, name)) is not None}
+        return take.part(PersonOptions).model_copy(update=stated)
 
 
 class CommonOptions(PersonOptions):

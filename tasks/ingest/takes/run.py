@@ -340,7 +340,7 @@ def _far_from(objects: MovingObjects, body22_m: np.ndarray) -> Verdict:
 
 def _joined(guessed: Verdict, captured: Verdict) -> Verdict:
     """Return the worse of two verdicts with the reasons of both, those of the capture first."""
-    level = max((guessed.level, captured.level), key=lambda one: one.rank)
+    level = max((guessed.level, captured.level), key=lambda level: level.rank)
     return replace(guessed, level=level, reason="; ".join(filter(None, (captured.reason, guessed.reason))))
 
 

@@ -195,7 +195,7 @@ def _detect(
     seen = add_junk(rng, Annotated(px, confidence), _NUM_JUNK_JOINTS, view.camera.image_size_px)
     order = np.argsort(rng.random(seen.confidence.shape[:2]), axis=1)
     frame = np.repeat(np.arange(len(order)), order.shape[1])
-    is_there = np.array([(one > 0).any() for one in seen.confidence[frame, order.reshape(-1)]], dtype=bool)
+    is_there = (seen.confidence[frame, order.reshape(-1)] > 0).any(axis=-1)
     frame, person = frame[is_there], order.reshape(-1)[is_there]
     place = np.concatenate([np.arange(np.count_nonzero(frame == number)) for number in np.unique(frame)])
     rows = SequenceRows(

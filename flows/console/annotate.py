@@ -140,16 +140,14 @@ def _row(found_shot: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> t
 
 def _cells(found_shot: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[Image]:
     """Yield the cells of the sheet, each made small at once: whole images of all shots may be many."""
-    first = found_shot.parameters.first_number + found_shot.parameters.first_frame
-    for number, frame in enumerate(shot_images(found_shot.parameters, found_shot.files), start=first):
+    for number, frame in shot_images(found_shot.parameters, found_shot.files):
         if number in wanted:
             drawn = draw_people(frame.image, shot.frames, number, has_faces=has_faces)
             yield contact_sheet([drawn], [f"frame {number}"])
 
 
 def _drawn(found_shot: FoundShot, shot: AnnotatedShot, has_faces: bool) -> Iterator[Image]:
-    first = found_shot.parameters.first_number + found_shot.parameters.first_frame
-    for number, frame in enumerate(shot_images(found_shot.parameters, found_shot.files), start=first):
+    for number, frame in shot_images(found_shot.parameters, found_shot.files):
         yield draw_people(frame.image, shot.frames, number, has_faces=has_faces)
 
 

@@ -223,7 +223,7 @@ def _over_film(
     )
     chosen, shown_hz = thinned_frames(len(numbers), seen.rate_hz)
     wanted, images, annotated = set(numbers[chosen].tolist()), [], film.resolve().frames
-    for number, image in enumerate(shot_images(film.parameters, film.files), start=first):
+    for number, image in shot_images(film.parameters, film.files):
         if number in wanted:
             drawn = draw_people(blur_faces(image.image, annotated, number), drawn_over, number)
             size = [max(1, round(side * min(1.0, _FILM_PX / max(drawn.shape[:2])))) for side in drawn.shape[1::-1]]

@@ -24,7 +24,7 @@ from pasdedeux.skeletons import PAIR17
 from tasks.ingest.files import find_file, read_again
 from tasks.ingest.film.detector_files import find_network
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
-from tasks.ingest.film.readers import Film, first_shown, image_at, is_film, open_film, read_film
+from tasks.ingest.film.readers import Film, FilmFrame, first_shown, image_at, is_film, open_film, read_film
 from tasks.ingest.poses2d.parameters import SOURCE_FILES
 from tasks.ingest.poses2d.readers import VIDEO_SUFFIXES, find_cameras, is_named_after
 from tasks.ingest.poses2d.resolution import own_layout_of, read_given
@@ -174,10 +174,11 @@ class CorrectedShot:
         return (frame.image for frame in read_film(film, begin + start, begin + stop, after_s=after_s))
 
 
-def shot_images(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Iterator[Any]:
-    """Yield the images of a shot, with their times."""
+def shot_images(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Iterator[tuple[int, FilmFrame]]:
+    """Yield the images of a shot, each with its number."""
     film, first = files[parameters.num_given + parameters.num_networks :], parameters.first_frame
-    return read_film(film, first, first + parameters.num_frames, after_s=parameters.after_s)
+    frames = read_film(film, first, first + parameters.num_frames, after_s=parameters.after_s)
+    return enumerate(frames, start=parameters.first_number + first)
 
 
 @lru_cache(maxsize=4)
@@ -189,7 +190,7 @@ def _annotated(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> tup
     times: list[float] = []
 
     def images() -> Iterator[Any]:
-        for frame in shot_images(parameters, files):
+        for _, frame in shot_images(parameters, files):
             times.append(frame.time_s)
             yield frame.image
 
@@ -216,7 +217,7 @@ def _detected(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> Anno
     detector = load_detector([read_again(file) for file in files[start : start + parameters.num_networks]])
     detections = []
     first = parameters.first_number + parameters.first_frame
-    for number, frame in enumerate(shot_images(parameters, files), start=first):
+    for number, frame in shot_images(parameters, files):
         if (number - first) % parameters.detect_every == 0:
             tables = detector.detect(frame.image)
             detections += [Detection(("", number), None, table, f"frame {number}") for table in tables]

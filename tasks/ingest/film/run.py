@@ -86,9 +86,8 @@ def _pictures(parameters: FilmParameters, files: tuple[SourceFile, ...], frames:
     on_sheet = some_of(np.unique(frames.frame).tolist(), _SHEET_IMAGES)
     middle = int(np.median(frames.frame))
     in_clip = range(middle - _CLIP_IMAGES, middle + _CLIP_IMAGES, 2)
-    first = parameters.first_number + parameters.first_frame
     sheet, clip = [], []
-    for number, frame in enumerate(shot_images(parameters, files), start=first):
+    for number, frame in shot_images(parameters, files):
         if number in on_sheet or number in in_clip:
             drawn = draw_people(frame.image, frames, number)
             sheet += [(f"frame {number}", drawn)] if number in on_sheet else []

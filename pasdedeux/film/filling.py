@@ -164,9 +164,9 @@ def _paths(known_px: Array, forward: Array, person: Integers) -> Array:
     paths = np.zeros(known_px.shape)
     for who in np.unique(person):
         own_steps = steps[:, person == who]
-        is_told = np.isfinite(own_steps[..., 0]).sum(axis=1) >= _MIN_FOLLOWED
+        is_followed = np.isfinite(own_steps[..., 0]).sum(axis=1) >= _MIN_FOLLOWED
         step = np.zeros((len(own_steps), 1, 2))
-        step[is_told, 0] = np.nanmedian(own_steps[is_told], axis=1)
+        step[is_followed, 0] = np.nanmedian(own_steps[is_followed], axis=1)
         paths[1:, person == who] = np.cumsum(step, axis=0)
     return paths
 

@@ -300,11 +300,11 @@ def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> Annot
     Raises:
         InputError: The image size in the file has another aspect ratio.
     """
-    told = {name: size for name, size in frames.image_size_px.items() if stated_px and size != stated_px}
-    if not told or not stated_px:
+    other_sizes = {name: size for name, size in frames.image_size_px.items() if stated_px and size != stated_px}
+    if not other_sizes or not stated_px:
         return frames
     scale = {}
-    for name, (width, height) in told.items():
+    for name, (width, height) in other_sizes.items():
         sides = f"{width} x {height}", f"{stated_px[0]} x {stated_px[1]}"
         if abs(stated_px[0] * height / (width * stated_px[1]) - 1) > MAX_OTHER_SHAPE:
             raise InputError(
@@ -318,7 +318,7 @@ def in_size(frames: AnnotatedFrames, stated_px: tuple[int, int] | None) -> Annot
         frames,
         keypoints_px=frames.keypoints_px * factors[:, None, None],
         focal_px={name: focal * scale.get(name, 1.0) for name, focal in frames.focal_px.items()},
-        image_size_px={**frames.image_size_px, **dict.fromkeys(told, stated_px)},
+        image_size_px={**frames.image_size_px, **dict.fromkeys(other_sizes, stated_px)},
     )
 
 

@@ -166,9 +166,9 @@ def choose_cameras(cameras: Sequence[CalibratedCamera], names: Sequence[str]) ->
     fits: list[list[CalibratedCamera]] = [[] for _ in names]
     for key in ("name", "table"):
         for split in (_words, _words_without_capitals):
-            words = _telling([split(getattr(camera, key)) for camera in cameras])
+            words = _distinctive([split(getattr(camera, key)) for camera in cameras])
             if not any(fits):
-                fits = [_fitting(file, cameras, words) for file in _telling([split(name) for name in names])]
+                fits = [_fitting(file, cameras, words) for file in _distinctive([split(name) for name in names])]
     called = ", ".join(camera.name for camera in cameras)
     chosen, is_by_name = list(cameras), any(fits)
     if is_by_name:
@@ -227,18 +227,18 @@ def _words_without_capitals(name: str) -> tuple[str, ...]:
     return _words(name.lower())
 
 
-def _telling(names: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+def _distinctive(names: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Remove words with which all names begin or end; unchanged if a name would become empty.
 
-    >>> _telling([("take", "1", "left"), ("take", "1", "right")])
+    >>> _distinctive([("take", "1", "left"), ("take", "1", "right")])
     [('left',), ('right',)]
     """
-    told = list(names)
-    while len(told) > 1 and all(told) and len({name[0] for name in told}) == 1:
-        told = [name[1:] for name in told]
-    while len(told) > 1 and all(told) and len({name[-1] for name in told}) == 1:
-        told = [name[:-1] for name in told]
-    return told if all(told) else list(names)
+    kept = list(names)
+    while len(kept) > 1 and all(kept) and len({name[0] for name in kept}) == 1:
+        kept = [name[1:] for name in kept]
+    while len(kept) > 1 and all(kept) and len({name[-1] for name in kept}) == 1:
+        kept = [name[:-1] for name in kept]
+    return kept if all(kept) else list(names)
 
 
 def _is_within(words: Sequence[str], others: Sequence[str]) -> bool:

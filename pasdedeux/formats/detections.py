@@ -305,10 +305,10 @@ def _begins_with_face(table: npt.NDArray[np.float64]) -> bool:
     far = np.linalg.norm(points - points[:, :1], axis=-1)
     ears = (0, 7, 8)  # nose and ears; on a head that is turned away, ears are half as far as a shoulder
     face, shoulders = np.delete(far[:, :_NUM_FACE], ears, axis=1), far[:, _NUM_FACE : _NUM_FACE + 2]
-    is_told = np.isfinite(face).any(axis=1) & np.isfinite(shoulders).any(axis=1)
-    if not is_told.any():  # no face is seen, where other layouts have shoulders and wrists
+    is_face_seen = np.isfinite(face).any(axis=1) & np.isfinite(shoulders).any(axis=1)
+    if not is_face_seen.any():  # no face is seen, where other layouts have shoulders and wrists
         return bool(np.isfinite(shoulders).any())
-    ratio = np.nanmax(face[is_told], axis=1) / np.maximum(np.nanmax(shoulders[is_told], axis=1), 1e-9)
+    ratio = np.nanmax(face[is_face_seen], axis=1) / np.maximum(np.nanmax(shoulders[is_face_seen], axis=1), 1e-9)
     return bool(np.median(ratio) < _MAX_FACE)
 
 
@@ -322,11 +322,11 @@ def _most_like_people(layouts: Sequence[KeypointLayout], table: npt.NDArray[np.f
         return layouts[0]
     confidence = np.where(_is_seen(table), table[..., 2], 0.0)
     lengths = {layout.name: stretch(layout.name, table[..., :2], confidence) for layout in layouts}
-    told = sorted((lengths[layout.name], layout.name) for layout in layouts if np.isfinite(lengths[layout.name]))
+    ranked = sorted((lengths[layout.name], layout.name) for layout in layouts if np.isfinite(lengths[layout.name]))
     usual = next((layout for layout in layouts if layout.name in USUAL_LAYOUTS), None)
     clearly = CLEARLY_SHORTER if usual else _SHORTER
-    if told and told[0][0] <= MAX_STRETCH and all(told[0][0] < clearly * length for length, _ in told[1:]):
-        return KEYPOINT_LAYOUTS[told[0][1]]
+    if ranked and ranked[0][0] <= MAX_STRETCH and all(ranked[0][0] < clearly * length for length, _ in ranked[1:]):
+        return KEYPOINT_LAYOUTS[ranked[0][1]]
     if usual:
         return usual
     raise FormatError(
@@ -405,8 +405,8 @@ def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tup
     ids = []
     for detection in detections:
         is_anew = detection.place[0] in anew or detection.person_id is None
-        told = names.index(str(detection.person_id)) if names and not is_anew else detection.person_id
-        ids.append(seen[detection.place] if is_anew else int(told or 0))
+        number = names.index(str(detection.person_id)) if names and not is_anew else detection.person_id
+        ids.append(seen[detection.place] if is_anew else int(number or 0))
         seen[detection.place] += 1
     said = ", ".join(f"{number} is '{shorten(name)}'" for number, name in enumerate(names[:_MAX_LISTED]))
     return ids, not anew, (f"people: {said}",) if names and not anew else ()

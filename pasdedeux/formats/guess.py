@@ -161,13 +161,13 @@ def guess_mirrored(source: SourceMotion, layout: Layout | None = None) -> Mirror
     left = sum(body[:, pair[0]] - body[:, pair[1]] for pair in (_HIPS, _SHOULDERS))
     front = normalise(np.cross(left, up))[:, None]
     entries = [layout.tables[BODY22.name][joint] for joint in _TOE_NAMES]
-    told = [at for at, entry in enumerate(entries) if entry in source.skeleton.joint_names]
-    toes = (normalise(body[:, _TOES] - feet)[:, told] * front).sum(axis=-1)
+    real_toes = [at for at, entry in enumerate(entries) if entry in source.skeleton.joint_names]
+    toes = (normalise(body[:, _TOES] - feet)[:, real_toes] * front).sum(axis=-1)
     knees = body[:, _KNEES] - (body[:, _HIPS] + feet) / 2.0
     legs = np.linalg.norm(body[:, _HIPS] - feet, axis=-1)
     bent = (knees * front).sum(axis=-1) / np.where(legs > 0, legs, 1.0)
     knee = float(np.clip(np.median(bent) / _BENT, -1.0, 1.0))
-    toe = float(np.median(toes)) if told else knee
+    toe = float(np.median(toes)) if real_toes else knee
     forward = (toe + knee) / 2.0 if abs(knee) > _HARDLY else toe
     return MirrorGuess(forward < 0, min(abs(forward) / _CLEAR, 1.0))
 

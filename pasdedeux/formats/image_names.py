@@ -108,8 +108,8 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
         counter, cameras = _counter(alike)
         first = alike[0].numbers
         for name in alike:
-            told = tuple((name.numbers if slot in cameras else first)[slot] for slot in range(len(first)))
-            videos[name.name], frames[name.name] = replace(name, numbers=told).video(counter), name.value(counter)
+            numbers = tuple((name.numbers if slot in cameras else first)[slot] for slot in range(len(first)))
+            videos[name.name], frames[name.name] = replace(name, numbers=numbers).video(counter), name.value(counter)
     if max(frames.values(), default=0) > MAX_COUNT or 2 * len(set(videos.values())) > max(2, len(frames)):
         return _stills(parsed)
     if len(set(videos.values())) == 1 and _is_sparse(parsed, sorted(frames.values())):

@@ -141,9 +141,9 @@ def _vocabulary() -> dict[str, set[str]]:
         for part, entry in layout.parts.items():
             for word in entry.split("|") if isinstance(entry, str) else ():
                 side, _, bare = NORMAL_NAMES[name].get(word, "").rpartition(".")
-                told = next((told for told in SIDES if part.startswith(told)), "")
-                if bare and side == told:
-                    words.setdefault(bare, set()).add("skull" if part == "head" else part.removeprefix(f"{told}_"))
+                part_side = next((part_side for part_side in SIDES if part.startswith(part_side)), "")
+                if bare and side == part_side:
+                    words.setdefault(bare, set()).add("skull" if part == "head" else part.removeprefix(f"{part_side}_"))
     return words
 
 
@@ -321,9 +321,9 @@ class _Drafting:
         parts = ARM if kind == "arm" else LEG
         inner = [at for at in range(1, len(branch)) if not self._normal[branch[at]][1].endswith(_END_WORDS)]
         named = [[at for at in inner if self._means(branch[at]) == {part}] for part in parts]
-        told = [matches[0] if len(matches) == 1 else place for matches, place in zip(named, places, strict=True)]
-        start, _, end = told = told if told[0] < told[1] < told[2] else list(places)
-        limb = {part: branch[place] for part, place in zip(parts, told, strict=True)}
+        chosen = [matches[0] if len(matches) == 1 else place for matches, place in zip(named, places, strict=True)]
+        start, _, end = chosen = chosen if chosen[0] < chosen[1] < chosen[2] else list(places)
+        limb = {part: branch[place] for part, place in zip(parts, chosen, strict=True)}
         if kind == "arm" and start > 1:
             limb["collar"] = branch[start - 1]
         if kind == "leg" and end + 1 < len(branch):

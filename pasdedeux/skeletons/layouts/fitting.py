@@ -59,7 +59,7 @@ def rest_positions(skeleton: Skeleton, rest_offsets: Array) -> Array:
 class LayoutFit:
     """A layout in the names of a file, with the file's rest pose."""
 
-    told: Layout
+    given: Layout
     skeleton: Skeleton
     rest_offsets: Array
 
@@ -84,10 +84,10 @@ class LayoutFit:
 
         Axes near those of the file are replaced by them.
         """
-        if self.told.keeps_axes:
+        if self.given.keeps_axes:
             return np.eye(3)
         left, right = (
-            {part: self._place(self.told.parts[f"{side}_{part}"]) for part in (*ARM, *LEG)} for side in SIDES
+            {part: self._place(self.given.parts[f"{side}_{part}"]) for part in (*ARM, *LEG)} for side in SIDES
         )
         hips = (left["hip"] + right["hip"]) / 2
         up = (left["shoulder"] + right["shoulder"]) / 2 - hips
@@ -107,18 +107,18 @@ class LayoutFit:
 
     def layout(self) -> Layout:
         """Return the layout with all of its parts, points and tables."""
-        parts, points = dict(self.told.parts), self._points()
+        parts, points = dict(self.given.parts), self._points()
         if parts.get("nose") == "nose" and ("nose" not in points or "neck" not in parts):
             del parts["nose"]  # such a point needs the bone from neck to head
             points.pop("nose", None)
-        told = set(parts)
+        given_parts = set(parts)
         self._leave_out_empty(parts)
         if "pelvis" not in parts:
             parts["pelvis"] = mixed((parts[f"{side}_hip"], 0.5) for side in SIDES)
-        told &= parts.keys()
+        given_parts &= parts.keys()
         skull = self._add_neck_and_head(parts)
         if not parts.keys() >= {"spine1", "spine2", "spine3", "spine", "chest"}:
-            told = told - _SPINE.keys() | self._add_spine(parts)
+            given_parts = given_parts - _SPINE.keys() | self._add_spine(parts)
         for side in SIDES:
             if f"{side}_collar" not in parts:
                 parts[f"{side}_collar"] = mixed([(parts["spine3"], 1 - _COLLAR), (parts[f"{side}_shoulder"], _COLLAR)])
@@ -126,14 +126,14 @@ class LayoutFit:
                 parts[f"{side}_toe"] = self._toe(side, parts, points)
         if "nose" not in parts:
             parts["nose"] = self._nose(parts, skull, points)
-        told |= {"head"} if told & {"skull", "head"} else set()
+        given_parts |= {"head"} if given_parts & {"skull", "head"} else set()
         return replace(
-            self.told,
+            self.given,
             tables=working_tables(parts),
             parts=parts,
             points=tuple(points.values()),
             keeps_axes=True,
-            derived=tuple(joint for joint in BODY22.joint_names if joint not in told),
+            derived=tuple(joint for joint in BODY22.joint_names if joint not in given_parts),
         )
 
     def _points(self) -> dict[str, AddedPoint]:
@@ -141,14 +141,14 @@ class LayoutFit:
         axes = self._axes
         return {
             point.name: replace(point, offset=tuple((axes @ np.array(point.offset)).tolist()))
-            for point in self.told.points
+            for point in self.given.points
             if axes is not None and self._lengths[self.skeleton.index(point.unit_bone)] > self._short
         }
 
     def _place(self, entry: Entry) -> Array:
         """Return the position of an entry in the rest pose."""
         shares = ({entry: 1.0} if isinstance(entry, str) else entry).items()
-        points = {point.name: point.joint for point in self.told.points}
+        points = {point.name: point.joint for point in self.given.points}
         return np.asarray(
             sum(share * self._rest[self.skeleton.index(points.get(name, name))] for name, share in shares)
         )
@@ -158,7 +158,7 @@ class LayoutFit:
 
     def _leave_out_empty(self, parts: dict[str, Entry]) -> None:
         """Remove joints that coincide with the one before, and a pelvis that is a node of the scene."""
-        points = {point.name for point in self.told.points}
+        points = {point.name for point in self.given.points}
         for side in SIDES:
             toe = parts.get(f"{side}_toe")
             if toe and toe not in points and self._distance(toe, parts[f"{side}_ankle"]) <= self._short:

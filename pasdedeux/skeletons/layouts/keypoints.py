@@ -150,9 +150,9 @@ def _own(joints: Iterable[str]) -> dict[str, Recipe]:
     return {joint: ({joint: 1.0},) for joint in joints}
 
 
-def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
+def _layout(name: str, table: Mapping[str, Any]) -> KeypointLayout:
     """Return the layout of a table: limbs, points of the head, optionally neck, middle of the hips, and feet."""
-    names = tuple(told["keypoints"].split())
+    names = tuple(table["keypoints"].split())
     # In 3D layouts the pelvis is the middle of the hips; the keypoint mid_hip replaces it if a hip is hidden.
     pelvis: Recipe = (_MID_HIP, {"mid_hip": 1.0}) if "mid_hip" in names else (_MID_HIP,)
     neck: Recipe = ({"neck": 1.0}, _MID_SHOULDER) if "neck" in names else (_MID_SHOULDER,)
@@ -180,7 +180,7 @@ def _layout(name: str, told: Mapping[str, Any]) -> KeypointLayout:
             OP14.name: {**_own(_LIMBS), "neck": op14_neck, "head": nose},
             "feet4": feet,
         },
-        told.get("also", {}),
+        table.get("also", {}),
     )
 
 
@@ -206,9 +206,9 @@ _OP14_2D = KeypointLayout(
     },
 )
 
-_TOLD = tomllib.loads(resources.files(__package__).joinpath("keypoints.toml").read_text(encoding="utf-8"))
+_TABLES = tomllib.loads(resources.files(__package__).joinpath("keypoints.toml").read_text(encoding="utf-8"))
 KEYPOINT_LAYOUTS: dict[str, KeypointLayout] = {
-    **{name: _layout(name, told) for name, told in _TOLD.items()},
+    **{name: _layout(name, table) for name, table in _TABLES.items()},
     **{layout.name: layout for layout in (_PAIR17_2D, _OP14_2D)},
 }
 """All layouts of 2D keypoints by name; add one as a table of `keypoints.toml`."""
@@ -217,8 +217,8 @@ KEYPOINT_LAYOUTS: dict[str, KeypointLayout] = {
 def _by_count() -> dict[int, tuple[KeypointLayout, ...]]:
     by_count: dict[int, list[KeypointLayout]] = {}
     for layout in KEYPOINT_LAYOUTS.values():
-        told = _TOLD.get(layout.name, {})
-        for count in () if told.get("named_only") else (layout.num_keypoints, *told.get("first_of", ())):
+        table = _TABLES.get(layout.name, {})
+        for count in () if table.get("named_only") else (layout.num_keypoints, *table.get("first_of", ())):
             by_count.setdefault(count, []).append(layout)
     return {count: tuple(by_count[count]) for count in sorted(by_count)}
 

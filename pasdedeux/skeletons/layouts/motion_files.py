@@ -15,34 +15,34 @@ _TRUNK_JOINTS = ("pelvis", "spine1", "spine2", "spine3", "neck")
 _ALL = {*_TRUNK_JOINTS, "spine", "chest", "head", "nose", *(f"{side}_collar" for side in ("left", "right"))}
 
 
-def _layout(name: str, told: Mapping[str, Any]) -> Layout:
+def _layout(name: str, table: Mapping[str, Any]) -> Layout:
     """Build a layout from its table."""
-    limbs, trunk = zip(_LIMB_JOINTS, told["limbs"], strict=True), told["trunk"]
-    per_side = dict(limbs) | ({"collar": told["collar"]} if "collar" in told else {})
+    limbs, trunk = zip(_LIMB_JOINTS, table["limbs"], strict=True), table["trunk"]
+    per_side = dict(limbs) | ({"collar": table["collar"]} if "collar" in table else {})
     parts = {
         f"{ours}_{joint}": _on_side(entry, theirs)
-        for ours, theirs in zip(("left", "right"), told.get("sides", ("Left", "Right")), strict=True)
+        for ours, theirs in zip(("left", "right"), table.get("sides", ("Left", "Right")), strict=True)
         for joint, entry in per_side.items()
         if entry
     }
     parts |= zip(_TRUNK_JOINTS if len(trunk) > 2 else ("pelvis", "neck"), trunk, strict=True)
-    parts |= {part: told[part] for part in ("spine", "chest", "head", "skull", "nose") if part in told}
+    parts |= {part: table[part] for part in ("spine", "chest", "head", "skull", "nose") if part in table}
     head = parts.get("head")
     if isinstance(head, Mapping):
         parts.setdefault("skull", max(head, key=lambda joint: head[joint]))
-    points = dict(told.get("points", {}))
+    points = dict(table.get("points", {}))
     if isinstance(parts.get("nose"), Mapping):
         points = {"nose": parts["nose"], **points}
         parts["nose"] = "nose"
     added = (AddedPoint(at, point["joint"], tuple(point["offset"]), point["unit_bone"]) for at, point in points.items())
     return Layout(
         name,
-        told["meaning"],
+        table["meaning"],
         working_tables({part: _first(entry) for part, entry in parts.items()}) if parts.keys() >= _ALL else {},
         tuple(added),
         parts,
-        keeps_axes=told.get("keeps_axes", False),
-        is_whole=told.get("is_whole", False),
+        keeps_axes=table.get("keeps_axes", False),
+        is_whole=table.get("is_whole", False),
     )
 
 
@@ -56,6 +56,6 @@ def _on_side(entry: Entry, side: str) -> Entry:
     return {source.replace("{}", side): weight for source, weight in entry.items()}
 
 
-_TOLD = tomllib.loads(resources.files(__package__).joinpath("motion_files.toml").read_text(encoding="utf-8"))
-LAYOUTS: dict[str, Layout] = {name: _layout(name, told) for name, told in _TOLD.items()}
+_TABLES = tomllib.loads(resources.files(__package__).joinpath("motion_files.toml").read_text(encoding="utf-8"))
+LAYOUTS: dict[str, Layout] = {name: _layout(name, table) for name, table in _TABLES.items()}
 """All layouts of motion files by name; add one as a table of that file."""

@@ -93,14 +93,14 @@ def resolve_layout(
             raise InputError(_fits_none(skeleton.joint_names))
         layout = known
     elif name in mappings and name not in LAYOUTS:
-        told = mappings[name].get("parts")
+        parts = mappings[name].get("parts")
         layout = Layout(name, "of the study", {})
-        if told is not None:
-            lacking = [part for part in NEEDED if part not in told]
-            lacking += [] if {"neck", "skull", "head"} & told.keys() else ["neck or skull"]
+        if parts is not None:
+            lacking = [part for part in NEEDED if part not in parts]
+            lacking += [] if {"neck", "skull", "head"} & parts.keys() else ["neck or skull"]
             if lacking:
                 raise InputError(f"mapping '{name}': its parts lack {', '.join(lacking)}")
-            layout = fit_parts(name, "of the study", told, skeleton, rest_offsets)
+            layout = fit_parts(name, "of the study", parts, skeleton, rest_offsets)
     elif name in LAYOUTS:
         layout = fit_layout(name, skeleton, rest_offsets)
     else:
@@ -229,5 +229,5 @@ def _fitted_once(name: str, skeleton: Skeleton, rest_offsets: bytes) -> Layout:
         for point in layout.points
         if {normal[point.joint], normal[point.unit_bone]} <= joints.keys()
     )
-    told = replace(layout, parts=_in_file(layout, joints), points=points)
-    return LayoutFit(told, skeleton, offsets).layout()
+    given = replace(layout, parts=_in_file(layout, joints), points=points)
+    return LayoutFit(given, skeleton, offsets).layout()

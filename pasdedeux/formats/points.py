@@ -276,8 +276,7 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
         raise FormatError("no columns of landmarks; known: landmark, x and y, or nose_x, nose_y ...")
     if landmark_key is not None and (frame_key is None or not {"x", "y"} <= set(plain)):
         raise FormatError("a row for each landmark needs the columns frame, x and y")
-    people: dict[tuple[str, int, int | str | None, int], dict[str, list[float]]] = {}
-    numbers: dict[tuple[str, int, int | str | None, int], int] = {}
+    people: dict[tuple[str, int, int | str | None, int], tuple[int, dict[str, list[float]]]] = {}
     seen: Counter[tuple[str, int, int | str | None]] = Counter()
     for position, (line, row) in enumerate(cells):
         lines.number = line  # for errors
@@ -290,37 +289,29 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
             name = row[landmark_key]
             if name.isdigit() and int(name) >= len(_NAMES):
                 raise FormatError(f"'{shorten(name)}' is no landmark; known: 0 to {len(_NAMES) - 1}, or names")
-            points = {name: [_value(row, key) for key in (plain["x"], plain["y"], seen_key)]}
+            values = [_value(row, key) for key in (plain["x"], plain["y"], seen_key)]
             place = (video, frame, person)
             # Among people without numbers, the next one begins when a landmark is repeated.
-            seen[place] += name in people.get((*place, seen[place]), {}) and person is None
-            key = (*place, seen[place])
-            if name in people.get(key, {}):
+            seen[place] += name in people.get((*place, seen[place]), (line, {}))[1] and person is None
+            _, points = people.setdefault((*place, seen[place]), (line, {}))
+            if name in points:
                 raise FormatError(f"'{shorten(name)}' twice for person {person} in frame {frame}")
-            people.setdefault(key, {}).update(points)
-            numbers.setdefault(key, line)
+            points[name] = values
             continue
         for who, columns in by_person.items():
             place = (video, frame, person if person is not None or len(by_person) == 1 else who)
-            key = (*place, seen[place])
+            points = {name: [_value(row, column) for column in axes] for name, axes in columns.items()}
+            people[(*place, seen[place])] = (line, points)
             seen[place] += 1
-            people[key] = {name: [_value(row, column) for column in axes] for name, axes in columns.items()}
-            numbers[key] = line
     if not people:
         raise InputError("this table of landmarks has no rows: nobody was detected")
-    names = names_in_order((name for points in people.values() for name in points), first=0)
+    names = names_in_order((name for _, points in people.values() for name in points), first=0)
     missing = [math.nan, math.nan, 0.0]
-    return [
-        Detection(
-            (video, frame),
-            person,
-            np.array([points.get(name, missing) for name in names]),
-            f"line {numbers[key]}",
-            names=names,
-        )
-        for key, points in people.items()
-        for video, frame, person, _ in (key,)
-    ]
+    detections = []
+    for (video, frame, person, _), (line, points) in people.items():
+        table = np.array([points.get(name, missing) for name in names])
+        detections.append(Detection((video, frame), person, table, f"line {line}", names=names))
+    return detections
 
 
 def _deeplabcut(lines: Lines) -> tuple[list[str], list[dict[str, str]]]:

@@ -54,7 +54,7 @@ def repair_rows(
     row_of = np.full(shape[:2], -1, dtype=np.int64)
     row_of[person, at] = np.arange(len(at))
     mended = repair_faults(points, weight, rate_hz=rate_hz)
-    is_kept = (mended.confidence > 0).any(axis=(1, 2))[person]
+    is_kept = np.asarray((mended.confidence > 0).any(axis=(1, 2)))[person]
     source_row = row_of[mended.source_person[person, at], at[:, None]]
     for keypoint, (joint, mirror) in enumerate(_joints_of(layout)):
         if joint < 0:

@@ -24,6 +24,9 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+_BUILT_ONCE = ("small", "prefect_home")
+"""Fixtures that only one process is to build."""
+
 # No example has a deadline: the first one of a kernel compiles it.  The same code draws the same examples everywhere;
 # `pytest --hypothesis-profile search` draws others every time; planted faults need no simplest example.
 settings.register_profile("search", deadline=None)
@@ -52,7 +55,7 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark with `data` every test that is given the folder of real motion data, and say which tests one process runs.
 
-    Those of a file share what it builds, and all that read the small study share its one build.  Groups with the most
+    Those of a file share what it builds, and all that need what takes long to build share that.  Groups with the most
     slow tests come first: at the end, no process has much to do while the others have nothing.
     """
     groups: dict[pytest.Item, str] = {}
@@ -60,7 +63,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         fixtures = getattr(item, "fixturenames", ())
         if "data_dir" in fixtures:
             item.add_marker(pytest.mark.data)
-        groups[item] = "small" if "small" in fixtures else item.nodeid.partition("::")[0]
+        groups[item] = next((name for name in _BUILT_ONCE if name in fixtures), item.nodeid.partition("::")[0])
         item.add_marker(pytest.mark.xdist_group(groups[item]))
     num_slow = Counter(group for item, group in groups.items() if item.get_closest_marker("slow"))
     items.sort(key=lambda item: -num_slow[groups[item]])

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from flows.viewing.panel import Panel, set_value
-from flows.viewing.session import Session
 from tasks.curation import CLIPPED, Decision
+
+if TYPE_CHECKING:
+    from flows.viewing.viewer import Viewer
 
 
 @dataclass(frozen=True)
 class ChoicesPane:
     """Its widgets, and the viewer whose moment is decided on."""
 
-    viewer: Session
+    viewer: Viewer
     reason: Any
     start: Any
     end: Any
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Session) -> Self:
+    def build(cls, panel: Panel, viewer: Viewer) -> Self:
         """Add the widgets to the panel."""
         with panel.gui.add_folder("Accept or reject", expand_by_default=False):
             reason = panel.gui.add_text("reason", "")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
-from flows.viewing.session import Session
+
+if TYPE_CHECKING:
+    from flows.viewing.viewer import Viewer
 
 STILLS_HZ = 10.0
 """Frames that do not follow each other in time are played at this rate."""
@@ -26,7 +28,7 @@ class PlayingPane:
     first: int = 0
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Session) -> Self:
+    def build(cls, panel: Panel, viewer: Viewer) -> Self:
         """Add the widgets to the panel."""
         with panel.gui.add_folder("Playing", expand_by_default=False):
             pane = cls(

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import quote
 
 import cv2
 
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.playing import STILLS_HZ
-from flows.viewing.session import Session
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
+
+if TYPE_CHECKING:
+    from flows.viewing.viewer import Viewer
 
 _CLIP_S = 4.0
 _CLIP_HZ = 10.0
@@ -27,7 +29,7 @@ class LinkPane:
     link: Any
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Session) -> Self:
+    def build(cls, panel: Panel, viewer: Viewer) -> Self:
         """Add the widgets to the panel; saving runs in the background."""
         with panel.gui.add_folder("Link and save", expand_by_default=False):
             pane = cls(panel.gui.add_text("moment", "", hint="Copy this link, or paste another one"))
@@ -36,18 +38,18 @@ class LinkPane:
         panel.on_change(pane.link, viewer.visit)
         return pane
 
-    def show(self, viewer: Session) -> None:
+    def show(self, viewer: Viewer) -> None:
         """Show the link to the moment."""
         set_value(self.link, f"{viewer.url}?at={quote(viewer.moment.reference, safe='@')}")
 
 
-def save_picture(viewer: Session, client: Any) -> None:
+def save_picture(viewer: Viewer, client: Any) -> None:
     """Send a browser what it shows, as a PNG."""
     image = client.get_render(client.camera.image_height, client.camera.image_width, timeout=_LIMIT_S)
     client.send_file_download(f"{_name(viewer)}.png", encode(image, ".png"), save_immediately=True)
 
 
-def save_clip(viewer: Session, client: Any) -> None:
+def save_clip(viewer: Viewer, client: Any) -> None:
     """Send a browser what it shows in the next seconds, as an animated WebP.
 
     Raises:
@@ -74,7 +76,7 @@ def save_clip(viewer: Session, client: Any) -> None:
     viewer.panel.tell(f"saved {name}")
 
 
-def _name(viewer: Session) -> str:
+def _name(viewer: Viewer) -> str:
     return f"{viewer.part.table}-{'-'.join(viewer.item.names)}-{viewer.frame}".replace("/", "-")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -14,9 +14,11 @@ from flows.viewing.panel import Panel, set_value
 from flows.viewing.room import COMPARE, MOST_BESIDE, VIEWS
 from flows.viewing.scene import Scene
 from flows.viewing.server import STRIP_LEFT_PX
-from flows.viewing.session import Session
 from flows.viewing.shelf import Part
 from flows.viewing.side import SidePicture, flat_picture
+
+if TYPE_CHECKING:
+    from flows.viewing.viewer import Viewer
 
 MOST_FIGURES = 6
 """Figures of an item that are shown at once; the others are folded away."""
@@ -57,7 +59,7 @@ class ShownPane:
     film: Any
 
     @classmethod
-    def build(cls, panel: Panel, viewer: Session) -> Self:
+    def build(cls, panel: Panel, viewer: Viewer) -> Self:
         """Add the widgets to the panel, and the keys that move through frames and items."""
         gui = panel.gui
         strip = gui.add_panel()  # below the room, as wide as that (`server.py`)

@@ -18,7 +18,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.bodies import Body, body_of, standing_rest_m
 from pasdedeux.bodies.drawing import draw_faces
 from pasdedeux.evaluation.motion_players import links_of
-from pasdedeux.evaluation.pictures import LINK_COLOUR, PERSON_COLOURS, rgb, shown_frames
+from pasdedeux.evaluation.pictures import LINK_COLOUR, person_rgb, rgb, shown_frames
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
 from tasks.data import Clip, Data
@@ -123,7 +123,7 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
                 joints = group.people_m[frame, person]
                 posed = body.posed(body.turns(BODY22, joints), joints) - middles[number]
                 corners.append((posed @ to_view)[body.faces])
-                colours += [rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])] * len(body.faces)
+                colours += [person_rgb(person)] * len(body.faces)
             draw_faces(canvas, np.concatenate(corners), np.array(colours), partial(on_canvas, number=number))
             for ends in project(group.links_m[frame], number):
                 if np.isfinite(ends).all():

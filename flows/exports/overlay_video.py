@@ -15,7 +15,7 @@ from pasdedeux.arrays import Array, Flags
 from pasdedeux.bodies import Body, body_of, standing_rest_m
 from pasdedeux.bodies.drawing import draw_faces
 from pasdedeux.errors import InputError, named
-from pasdedeux.evaluation.pictures import COLOUR_NAMES, PERSON_COLOURS, rgb
+from pasdedeux.evaluation.pictures import COLOUR_NAMES, person_rgb
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import Skeleton
 from storage_schema import Store
@@ -23,8 +23,6 @@ from tasks.facts import PeopleFacts
 from tasks.ingest.film.readers import first_shown, image_at, open_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
-_COLOURS = tuple(rgb(colour)[::-1] for colour in PERSON_COLOURS)
-"""Those of the report, as OpenCV has them: blue, green, red."""
 _OPAQUE = 0.75
 """Of bodies over the footage."""
 _MARGIN_PX, _LARGEST_PX = 40, 4096
@@ -75,7 +73,7 @@ def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
         thick, corners, colours = max(2, image.shape[0] // 240), [], []
         clothed = image.copy()
         for person, body in enumerate(bodies):
-            joints, colour = people_m[person], _COLOURS[person % len(_COLOURS)]
+            joints, colour = people_m[person], person_rgb(person)[::-1]  # OpenCV has blue, green, red
             if body is None or not np.isfinite(joints).all() or np.isnan(scales[person]):
                 laid_px = scales[person] * joints[:, :2] * (1.0, -1.0) + shifts[person]
                 _bones(clothed, laid_px, seen, colour, thick)

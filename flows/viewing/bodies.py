@@ -12,7 +12,7 @@ import numpy as np
 from flows.viewing.scene import People
 from pasdedeux.arrays import Array
 from pasdedeux.bodies import Body, body_of, standing_rest_m
-from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb, shade_of
+from pasdedeux.evaluation.pictures import person_rgb, shade_of
 from pasdedeux.interaction.contacts import find_contacts
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.plausibility.capsules import capsule_model, standing_m
@@ -112,22 +112,19 @@ class Bodies:
         radii = np.full_like(self.radii_m, _STICK_M) if is_thin else self.radii_m
         self._radii = np.concatenate([radii[:, self._bones[:, 1]].ravel(), [] if radii_m is None else radii_m])
 
-    def at(self, frame: int) -> Instances:
-        """Return where the capsules are in a frame."""
-        return self.of(self._people.frame(frame), frame)
-
-    def of(self, positions_m: Array, frame: int = 0) -> Instances:
-        """Return the same of other positions (person, joint, 3)."""
-        ends = positions_m[:, self._bones].reshape(-1, 2, 3)
-        return capsules(ends if self._ends_m is None else np.concatenate([ends, self._ends_m[frame]]), self._radii)
-
-    def turns(self, frame: int, pose: Array | None = None) -> list[tuple[Array, Array]]:
-        """Return how the joints of each skin are turned (J, 4), w first, and where they are (J, 3) in a frame.
+    def at(self, frame: int, pose: Array | None = None) -> Instances:
+        """Return where the capsules are in a frame.
 
         Args:
             frame: The frame.
             pose: Positions (person, joint, 3), metres, in place of those of the frame.
         """
+        positions = self._people.frame(frame) if pose is None else pose
+        ends = positions[:, self._bones].reshape(-1, 2, 3)
+        return capsules(ends if self._ends_m is None else np.concatenate([ends, self._ends_m[frame]]), self._radii)
+
+    def turns(self, frame: int, pose: Array | None = None) -> list[tuple[Array, Array]]:
+        """Return rotations (J, 4), w first, and positions (J, 3) of the joints of each skin; arguments as for `at`."""
         if not self.skins:
             return []
         positions = self._people.frame(frame) if pose is None else pose
@@ -139,20 +136,13 @@ class Bodies:
             rotations.append((turns[:, [3, 0, 1, 2]], places))
         return rotations
 
-    def person_colours(self, grey: tuple[int, int, int] | None = None) -> list[tuple[int, int, int]]:
-        """Return the colour of each skin, 0 to 255; all of them grey where asked."""
-        return [grey or rgb(PERSON_COLOURS[at % len(PERSON_COLOURS)]) for at in range(len(self.skins))]
-
     def colours(self, grey: tuple[int, int, int] | None = None) -> Array:
         """Return the colour of each capsule (n, 3), 0 to 255: left limbs darker; all of them grey where asked."""
+        num_people = self._people.positions_m.shape[1]
         shades = np.array([shade_of(name) for name in self._people.skeleton.joint_names])[self._bones[:, 1]]
-        people = [np.outer(shades, grey or rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)])) for p in range(self._num)]
-        rest = np.full((len(self._radii) - self._num * len(shades), 3), 119.0)
-        return np.concatenate([*people, rest]).astype(np.uint8)
-
-    @property
-    def _num(self) -> int:
-        return int(self._people.positions_m.shape[1])
+        people = [np.outer(shades, grey or person_rgb(person)) for person in range(num_people)]
+        objects = np.full((len(self._radii) - num_people * len(shades), 3), 119.0)
+        return np.concatenate([*people, objects]).astype(np.uint8)
 
 
 def _are_whole(people: People) -> bool:

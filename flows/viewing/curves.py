@@ -13,7 +13,7 @@ from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
 from flows.viewing.side import INK, PAPER, flat_picture
 from pasdedeux.arrays import Array, Flags, Integers
-from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
+from pasdedeux.evaluation.pictures import person_rgb
 from pasdedeux.evaluation.shown_figures import figure_label
 
 TICKS = "contact (green), overlap (red), verdicts"
@@ -66,10 +66,7 @@ def time_strip(is_there: Flags, levels: Integers | None, gap_m: Array | None) ->
     """
     rows: list[Array] = []
     if not is_there.all():
-        rows += [
-            np.where(is_there[:, p, None], rgb(PERSON_COLOURS[p % len(PERSON_COLOURS)]), PAPER)
-            for p in range(is_there.shape[1])
-        ]
+        rows += [np.where(is_there[:, p, None], person_rgb(p), PAPER) for p in range(is_there.shape[1])]
     if gap_m is not None:
         near = np.select([gap_m < -THROUGH_M, gap_m < TOUCH_M], [2, 1], 0)
         rows.append(np.array([(PAPER,) * 3, _GREEN, _RED])[near])
@@ -93,10 +90,10 @@ def plot_curves(curves: Sequence[Array], frame: int) -> Any:
         )
         is_there = np.isfinite(points[:, 1])
         runs = np.split(points[is_there], np.flatnonzero(np.diff(np.flatnonzero(is_there)) > 1) + 1)
-        colour = rgb(PERSON_COLOURS[(number + 2) % 3 + 2]) if number else rgb(PERSON_COLOURS[1])
+        colour = person_rgb((number + 2) % 3 + 2 if number else 1)
         cv2.polylines(image, [np.round(8 * run).astype(np.int32) for run in runs], False, colour, 1, cv2.LINE_AA, 3)
     at = round(across[min(frame, len(across) - 1)])
-    cv2.line(image, [at, 0], [at, height], rgb(PERSON_COLOURS[0]), 2)
+    cv2.line(image, [at, 0], [at, height], person_rgb(0), 2)
     for value, y in ((high, edge - 4), (low, height - 4)):
         cv2.putText(image, f"{value:.3g}", (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.6, INK, 1, cv2.LINE_AA)
     return image

@@ -272,7 +272,7 @@ class Editor:
             new = [Part("draws", name, tuple(refs)) for name, refs in refs_by_stage.items()]
             if set(new) - set(viewer.shelf.parts):
                 viewer.shelf.parts = [part for part in viewer.shelf.parts if part.name not in refs_by_stage] + new
-                viewer.offer_parts()
+                viewer.shown.offer_parts(viewer.shelf.parts, viewer.part)
 
     # 2D poses.
 

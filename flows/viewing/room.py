@@ -14,6 +14,7 @@ from flows.viewing.panel import Panel
 from flows.viewing.scene import People, Scene
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.evaluation.pictures import person_rgb
 from pasdedeux.spread import evenly_spread
 
 COMPARE = ("overlay", "beside", "hidden")
@@ -152,9 +153,11 @@ class Room:
             for put, bodies, one in self._more:
                 _move(put, bodies, min(frame, one.num_frames - 1))
             places, sizes = marker_balls((touch, through), _MARK_M)
-            _place(self._marks, places, None, sizes)
+            _place(self._marks, places, sizes)
+            opacity = _SEEN_THROUGH if len(touch) + len(through) else None
             for skin in self._people.skins:
-                set_opacity(skin, _SEEN_THROUGH if len(touch) + len(through) else None)
+                if skin.opacity != opacity:
+                    skin.opacity = opacity
         return len(touch), len(through)
 
     def show_film(self, image: Array | None) -> None:
@@ -190,13 +193,13 @@ class Room:
         frame = self._server.scene.get_handle_by_name(name)
         frame.visible, frame.position = True, self._to_right(away)
         skins = []
-        for at, (body, colour) in enumerate(zip(bodies.skins, bodies.person_colours(grey), strict=True)):
+        for at, body in enumerate(bodies.skins):
             upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(body.rest_m), 1))
             skins.append(
                 self._server.scene.add_mesh_skinned(
                     f"{name}/skin{at}", body.vertices_m.astype(np.float32), body.faces.astype(np.uint32),
                     bone_wxyzs=upright, bone_positions=body.rest_m, skin_weights=body.weights.astype(np.float32),
-                    color=colour, cast_shadow=False, receive_shadow=False, **more,
+                    color=grey or person_rgb(at), cast_shadow=False, receive_shadow=False, **more,
                 )
             )  # fmt: skip
         rods, balls = f"{name}/{len(colours)}/rods", f"{name}/{len(colours)}/balls"
@@ -269,12 +272,6 @@ def across(people: People) -> Array:
     return direction if direction[1] > 0 else -direction if line.any() else np.array([0.0, 1.0])
 
 
-def set_opacity(skin: Any, opacity: float | None) -> None:
-    """Give a skin an opacity if it has another one."""
-    if skin.opacity != opacity:
-        skin.opacity = opacity
-
-
 def _grid(size: float) -> Array:
     """Return the lines of a square grid of metres on the floor about the origin, a metre at a time, (n, 2, 3)."""
     at = np.arange(-size / 2, size / 2 + 0.5)
@@ -321,16 +318,15 @@ def _move(put: _Put, bodies: Bodies, frame: int, pose: Array | None = None) -> N
         for bone, turn, place in zip(skin.bones, turns, places, strict=True):
             bone.wxyz, bone.position = turn, place
     if put.rods is not None:
-        at = bodies.at(frame) if pose is None else bodies.of(pose, frame)
-        _place(put.rods, at.rods_m, at.rods_wxyz, at.rods_scale)
-        _place(put.balls, at.balls_m, None, at.balls_scale)
+        capsules = bodies.at(frame, pose)
+        put.rods.batched_wxyzs = capsules.rods_wxyz
+        _place(put.rods, capsules.rods_m, capsules.rods_scale)
+        _place(put.balls, capsules.balls_m, capsules.balls_scale)
 
 
-def _place(handle: Any, places: Array, turns: Array | None, sizes: Array) -> None:
-    """Move instances."""
-    handle.batched_positions, handle.batched_scales = places, sizes
-    if turns is not None:
-        handle.batched_wxyzs = turns
+def _place(instances: Any, places: Array, sizes: Array) -> None:
+    """Move and scale instances."""
+    instances.batched_positions, instances.batched_scales = places, sizes
 
 
 def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from flows.viewing.scene import Flat
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb, shade_of
+from pasdedeux.evaluation.pictures import person_rgb, shade_of
 
 DRAG_LABEL = "2D: drag a joint"
 """What stands over the picture while joints can be dragged; the script in the page knows the picture by it."""
@@ -169,7 +169,7 @@ def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
         image[top:bottom, left:right] = cv2.resize(seen, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     thick = max(2, size[0] // 280)
     for person, points in enumerate(flat.points_px):
-        colour = np.array(rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)]))
+        colour = np.array(person_rgb(person))
         placed = panel.place(points)
         for parent, child in flat.skeleton.bones:
             if np.isfinite(placed[[parent, child]]).all():

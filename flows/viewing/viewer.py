@@ -28,7 +28,7 @@ from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Part, Shelf, moment_in
 from flows.viewing.shown import MOST_FIGURES, ShownPane, part_label
-from flows.viewing.side import Pointer, SidePicture
+from flows.viewing.side import Pointer
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.shown_figures import figure_words
 from pasdedeux.skeletons import PAIR17, WORKING_SKELETONS
@@ -46,16 +46,6 @@ class Viewer:
         at: Reference of the first moment; the first item where none is given.
         choosing: The file of choices; `curation.txt` here where none is given.
     """
-
-    scene: Scene
-    shown: ShownPane
-    side: SidePicture
-    playing: PlayingPane
-    listing: Listing
-    curves: Curves
-    scales: Scales
-    choices: ChoicesPane
-    link: LinkPane
 
     def __init__(self, shelf: Shelf, *, port: int = 0, at: str | None = None, choosing: Choosing | None = None) -> None:
         self.shelf = shelf
@@ -240,10 +230,6 @@ class Viewer:
         panel.on_change(self.curves.chosen, lambda _: self._change_curve())
         for widget in (self.listing.only, self.listing.by):
             panel.on_change(widget, lambda _: self.list_anew())
-
-    def offer_parts(self) -> None:
-        """Offer the parts that the shelf has now."""
-        self.shown.offer_parts(self.shelf.parts, self.part)
 
     def list_anew(self) -> None:
         """List the items as it is asked for now, and show one that is listed."""

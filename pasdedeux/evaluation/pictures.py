@@ -59,6 +59,11 @@ def rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
+def person_rgb(person: int) -> tuple[int, int, int]:
+    """Return the colour of a person, numbered from 0."""
+    return rgb(PERSON_COLOURS[person % len(PERSON_COLOURS)])
+
+
 @dataclass(frozen=True)
 class Picture:
     """A figure (.svg) or moving people (.player.json), by its file name, with a caption.

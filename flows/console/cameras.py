@@ -129,14 +129,40 @@ def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[l
     return tracks, motion if is_steadied else None
 
 
-def find_calibration(path: Path | None, names: Sequence[str]) -> list[CalibratedCamera]:
-    """Return the calibrations of cameras, and say which is which; none if it is not given.
+@dataclass(frozen=True)
+class Calibration:
+    """The cameras of a calibration file, in the order of the videos; none where no file is given."""
+
+    path: Path | None
+    names: Sequence[str]
+    cameras: Sequence[CalibratedCamera] = ()
+
+    def for_images(self, sizes_px: Sequence[tuple[float, float] | None]) -> list[CalibratedCamera]:
+        """Return the cameras for images of these sizes, one for each video.
+
+        Raises:
+            InputError: Images have another shape than those of the calibration.
+        """
+        fitting = []
+        for camera, name, size_px in zip(self.cameras, self.names, sizes_px, strict=False):
+            try:
+                fitting.append(camera.for_images(size_px))
+            except InputError as error:
+                raise InputError(
+                    f"--calibration {self.path}: video {name}: {error}; name the camera's video as it was recorded, "
+                    "neither turned nor cropped, or calibrate with images like its own"
+                ) from None
+        return fitting
+
+
+def find_calibration(path: Path | None, names: Sequence[str]) -> Calibration:
+    """Read the calibration of videos with these names, and print which camera is which.
 
     Raises:
-        InputError: It cannot be read, or does not fit the cameras.
+        InputError: It cannot be read, or does not fit the videos.
     """
     if path is None:
-        return []
+        return Calibration(path, names)
     try:
         cameras = read_calibration(read_file(path, max_bytes=MAX_TEXT_BYTES))
         chosen, is_by_name = choose_cameras(cameras, names)
@@ -149,27 +175,4 @@ def find_calibration(path: Path | None, names: Sequence[str]) -> list[Calibrated
         f"{f'; left out: {rest}' if rest else ''}",
         err=True,
     )
-    return chosen
-
-
-def fit_calibration(
-    calibration: Sequence[CalibratedCamera],
-    names: Sequence[str],
-    sizes_px: Sequence[tuple[float, float] | None],
-    path: Path | None,
-) -> list[CalibratedCamera]:
-    """Return the calibrations, of a file, for cameras with these names and images; none if it is not given.
-
-    Raises:
-        InputError: Images have another shape than those of the calibration.
-    """
-    fitting = []
-    for camera, name, size_px in zip(calibration, names, sizes_px, strict=False):
-        try:
-            fitting.append(camera.for_images(size_px))
-        except InputError as error:
-            raise InputError(
-                f"--calibration {path}: video {name}: {error}; name the camera's video as it was recorded, neither "
-                "turned nor cropped, or calibrate with images like its own"
-            ) from None
-    return fitting
+    return Calibration(path, names, chosen)

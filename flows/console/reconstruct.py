@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,13 +12,13 @@ from typer import Argument, Option
 
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
 from flows.console.cameras import (
+    Calibration,
     OtherCamera,
     camera_names,
     film_size_px,
     find_calibration,
     find_camera,
     find_video,
-    fit_calibration,
     image_size_px,
     read_camera,
     sources_of,
@@ -29,13 +29,13 @@ from flows.console.display import Steps, format_table, make_listener
 from flows.console.inputs import find_database, read_statures
 from flows.console.live import follow_video
 from flows.exports.reconstructions import Footage, write_reconstruction
+from flows.progress import Listener
 from pasdedeux.errors import InputError
-from pasdedeux.formats.calibration import CalibratedCamera
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.people.video import check_one_video
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import SequenceOptions
-from pasdedeux.reconstruction.sequence import Reconstruction, StatedCamera, reconstruct_sequence
+from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.views.seen import SeenBy, upright_m
 from pasdedeux.reconstruction.views.together import reconstruct_views
 from tasks.ingest.film.parameters import FilmOptions
@@ -124,129 +124,39 @@ def reconstruct(
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
+    # What costs little is checked before any film is read: a detector may need minutes for it.
     names = camera_names([path, *(camera or ())])
     calibrated = find_calibration(calibration, names)
-    _reconstruct_video(
-        video,
-        database,
-        store,
-        out or Path(),
-        found_others=[find_camera(other, settings or (), detect) for other in camera or ()],
-        names=names,
-        calibration=calibrated,
-        calibration_file=calibration,
-        units=units,
-        pitch_deg=pitch,
-        camera_height_m=height,
-        person_ids=person or (),
-        statures=stature or (),
-        has_clean_up=clean_up,
-    )
-
-
-def _reconstruct_video(
-    video: AnnotationOptions | FilmOptions,
-    database: str | None,
-    store: Path,
-    out: Path,
-    *,
-    found_others: Sequence[FoundAnnotations],
-    names: Sequence[str],
-    calibration: Sequence[CalibratedCamera],
-    calibration_file: Path | None,
-    units: str,
-    pitch_deg: float | None,
-    camera_height_m: float | None,
-    person_ids: Sequence[int],
-    statures: Sequence[str],
-    has_clean_up: bool,
-) -> None:
-    """Reconstruct every sequence of 2D poses, read as a study reads them, and write its files.
-
-    What costs little is checked before any film is read: a detector may need minutes for it.
-
-    Raises:
-        InputError: Nothing that can be read, no projections, a stature of another form, keypoints that are not people,
-            or nobody who can be reconstructed.
-    """
-    named_m = dict(video.statures_m) | read_statures(statures, [])
+    found_others = [find_camera(other, settings or (), detect) for other in camera or ()]
+    named_m = dict(video.statures_m) | read_statures(stature or (), [])
     videos = sources_of(video)
     if found_others:
         check_one_video(f"camera {names[0]}", [source.parameters.id for source in videos])
-        fit_calibration(
-            calibration, names, [film_size_px(shown) for shown in (*videos, *found_others)], calibration_file
-        )
-    searched = find_database(database, store, with_pairs=True)
-    others = list[OtherCamera]()
-    camera = StatedCamera(
-        None if pitch_deg is None else math.radians(pitch_deg), camera_height_m or video.camera_height_m
+        calibrated.for_images([film_size_px(shown) for shown in (*videos, *found_others)])
+    wanted = _Wanted(
+        database=find_database(database, store, with_pairs=True),
+        camera=StatedCamera(None if pitch is None else math.radians(pitch), height or video.camera_height_m),
+        calibration=calibrated,
+        person_ids=person or (),
+        statures=stature or (),
+        named_m=named_m,
+        has_clean_up=clean_up,
+        out=out or Path(),
+        units=units,
     )
     listener = make_listener()
-
-    def note_film(name: str, source: FoundAnnotations) -> None:
-        if isinstance(source, FoundFilm):
-            listener.note(f"{name}: finding people in the film and following them")
-
-    def reconstruct(source: FoundAnnotations, resolved: ResolvedPeople, sequence: SequencePeople) -> None:
-        tracks, motion = steady_tracks(resolved, sequence)
-        known = [track.person_id for track in tracks]
-        if unknown := sorted(set(person_ids) - set(known)):
-            raise InputError(f"the input has no person {unknown[0]}; people: {', '.join(map(str, known)) or 'none'}")
-        tracks = [track for track in tracks if track.person_id in (person_ids or known)]
-        if not tracks:
-            raise InputError("no frame shows enough joints of a person")
-        shown = {track.person_id for track in tracks}
-        stated_m = {
-            name: stature for name, stature in (read_statures(statures, shown) | named_m).items() if name in shown
-        }
-        options = SequenceOptions(has_clean_up=has_clean_up, statures_m=stated_m)
-        footage, cameras = [Footage(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
-        if others:
-            sizes = [image_size_px(resolved, sequence), *(other.size_px for other in others)]
-            calibrated = fit_calibration(calibration, names, sizes, calibration_file)
-            together = reconstruct_views(
-                [tracks, *(other.tracks for other in others)],
-                searched,
-                camera,
-                options,
-                names=names,
-                calibration=calibrated,
-                on_camera=Steps(listener, 1 + len(others)),
-            )
-            reconstruction, cameras = Reconstruction(together.people, together.judged), together.cameras
-            footage += [other.footage for other in others]
-            if calibrated:
-                footage = [replace(shot, calibrated=given) for shot, given in zip(footage, calibrated, strict=True)]
-            say([seen.in_words(upright_m(together.people)) for seen in cameras])
-            for line in together.left_out:
-                echo(line, err=True)
-        else:
-            on_step = Steps(listener, 1 + 2 * len(tracks))
-            reconstruction = reconstruct_sequence(
-                tracks, searched, camera, options, sequence_id=sequence.sequence_id, on_step=on_step
-            )
-        if not reconstruction.people.methods:
-            raise InputError(f"nobody can be reconstructed: {next(iter(reconstruction.people.skipped.values()))}")
-        written = write_reconstruction(reconstruction, sequence, out, units=units, footage=footage, cameras=cameras)
-        say(format_table(_HEADER, written.rows, text_columns=(0, len(_HEADER) - 1)))
-        decided = "identities; to correct them, edit a copy and give it with --set people_file=COPY"
-        say([f"{written.decisions}: {decided}"], err=True)
-        echo(f"look at it: {written.page}")
-        for person_id, reason in reconstruction.people.skipped.items():
-            echo(f"person {person_id} was skipped: {reason}", err=True)
-        say([f"{reconstruction.people.pitch.in_words()}; {sequence.in_words()}"], err=True)
-
     failed: list[InputError] = []
     num_made, known = 0, set[int]()
     try:
+        others = []
         for name, source in zip(names[1:], found_others, strict=True):
-            note_film(name, source)
+            _note_film(name, source, listener)
             others.append(read_camera(name, source))
-        for video_found in videos:
-            note_film(video_found.parameters.id, video_found)
-            listener.note(f"reading {video_found.in_words()}")
+        for source in videos:
+            _note_film(source.parameters.id, source, listener)
+            listener.note(f"reading {source.in_words()}")
             try:
-                resolved = video_found.resolve()
+                resolved = source.resolve()
             except InputError as error:
                 failed.append(error)
                 continue
@@ -256,7 +166,7 @@ def _reconstruct_video(
             for sequence in resolved.sequences:
                 try:
                     listener.note(f"{sequence.sequence_id}: looking for poses, camera and sizes")
-                    reconstruct(video_found, resolved, sequence)
+                    _reconstruct_sequence(wanted, source, resolved, sequence, others, listener)
                     num_made += 1
                 except InputError as error:
                     failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
@@ -268,3 +178,104 @@ def _reconstruct_video(
         echo(line, err=True)
     if not num_made:
         raise failed[-1]
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """Options of the command.
+
+    Args:
+        database: Poses that are looked for.
+        camera: Stated pitch and height of the first camera.
+        calibration: The cameras, where a calibration is given.
+        person_ids: The people to reconstruct; all when empty.
+        statures: Stated statures, PERSON=METRES or METRES.
+        named_m: Statures of single people, metres; those of the source too.
+        has_clean_up: Whether motions are cleaned up.
+        out: Folder for the files.
+        units: Unit of lengths in BVH files.
+    """
+
+    database: SearchedDatabase
+    camera: StatedCamera
+    calibration: Calibration
+    person_ids: Sequence[int]
+    statures: Sequence[str]
+    named_m: Mapping[int, float]
+    has_clean_up: bool
+    out: Path
+    units: str
+
+
+def _note_film(name: str, source: FoundAnnotations, listener: Listener) -> None:
+    if isinstance(source, FoundFilm):
+        listener.note(f"{name}: finding people in the film and following them")
+
+
+def _reconstruct_sequence(
+    wanted: _Wanted,
+    source: FoundAnnotations,
+    resolved: ResolvedPeople,
+    sequence: SequencePeople,
+    others: Sequence[OtherCamera],
+    listener: Listener,
+) -> None:
+    """Reconstruct one sequence, with the other cameras of its take, and write its files.
+
+    Raises:
+        InputError: A person is named who is not there, or nobody can be reconstructed.
+    """
+    tracks, motion = steady_tracks(resolved, sequence)
+    known = [track.person_id for track in tracks]
+    if unknown := sorted(set(wanted.person_ids) - set(known)):
+        raise InputError(f"the input has no person {unknown[0]}; people: {', '.join(map(str, known)) or 'none'}")
+    tracks = [track for track in tracks if track.person_id in (wanted.person_ids or known)]
+    if not tracks:
+        raise InputError("no frame shows enough joints of a person")
+    shown = {track.person_id for track in tracks}
+    statures_m = read_statures(wanted.statures, shown) | wanted.named_m
+    options = SequenceOptions(
+        has_clean_up=wanted.has_clean_up,
+        statures_m={person_id: metres for person_id, metres in statures_m.items() if person_id in shown},
+    )
+    footage, cameras = [Footage(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
+    if others:
+        calibrated = wanted.calibration.for_images(
+            [image_size_px(resolved, sequence), *(other.size_px for other in others)]
+        )
+        together = reconstruct_views(
+            [tracks, *(other.tracks for other in others)],
+            wanted.database,
+            wanted.camera,
+            options,
+            names=wanted.calibration.names,
+            calibration=calibrated,
+            on_camera=Steps(listener, 1 + len(others)),
+        )
+        reconstruction, cameras = Reconstruction(together.people, together.judged), together.cameras
+        footage += [other.footage for other in others]
+        if calibrated:
+            footage = [replace(shot, calibrated=given) for shot, given in zip(footage, calibrated, strict=True)]
+        say([seen.in_words(upright_m(together.people)) for seen in cameras])
+        for line in together.left_out:
+            echo(line, err=True)
+    else:
+        on_step = Steps(listener, 1 + 2 * len(tracks))
+        reconstruction = reconstruct_sequence(
+            tracks, wanted.database, wanted.camera, options, sequence_id=sequence.sequence_id, on_step=on_step
+        )
+    people = reconstruction.people
+    if not people.methods:
+        raise InputError(f"nobody can be reconstructed: {next(iter(people.skipped.values()))}")
+    written = write_reconstruction(
+        reconstruction, sequence, wanted.out, units=wanted.units, footage=footage, cameras=cameras
+    )
+    say(format_table(_HEADER, written.rows, text_columns=(0, len(_HEADER) - 1)))
+    say(
+        [f"{written.decisions}: identities; to correct them, edit a copy and give it with --set people_file=COPY"],
+        err=True,
+    )
+    echo(f"look at it: {written.page}")
+    for person_id, reason in people.skipped.items():
+        echo(f"person {person_id} was skipped: {reason}", err=True)
+    say([f"{people.pitch.in_words()}; {sequence.in_words()}"], err=True)

@@ -11,13 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 from flows.records import PLAN_FILE, describe_runs, made_by, run_file, run_record
-from storage_schema import (
-    Store,
-    in_use,
-    latest_studies,
-    list_runs,
-    read_latest,
-)
+from storage_schema import Store, in_use, latest_studies, list_runs, read_latest
 from storage_schema.datasets import dataset_labels, named_places
 from storage_schema.folder_store import FolderStore
 from storage_schema.garbage import StageKey, Sweep, find_unneeded, folder_bytes, remove_unneeded

@@ -10,15 +10,7 @@ from flows.building import Build, StartTask
 from flows.machine import why_few
 from flows.outcomes import Outcome, Run, StageOutcome
 from flows.planning import Plan
-from flows.records import (
-    begin_record,
-    copy_report,
-    end_record,
-    is_on_record,
-    read_last_run,
-    report_folder,
-    shown_page,
-)
+from flows.records import begin_record, copy_report, end_record, is_on_record, read_last_run, report_folder, shown_page
 from flows.signals import remembered_ctrl_c
 from pasdedeux.plain_text import counted
 from storage_schema import RunFolder, StorageError, new_run

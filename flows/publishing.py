@@ -12,13 +12,7 @@ from flows.recorded import read_environment
 from flows.records import ENVIRONMENT_FILE
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Level
-from storage_schema import (
-    ArtifactRef,
-    Dataset,
-    canonical_json,
-    create_dataset,
-    source_credits,
-)
+from storage_schema import ArtifactRef, Dataset, canonical_json, create_dataset, source_credits
 from storage_schema.ancestry import has_lineage
 from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists

@@ -35,11 +35,7 @@ class Reasons:
     """
 
     def __init__(
-        self,
-        stage: Stage,
-        sections: Mapping[str, Mapping[str, Any]],
-        inputs: Sequence[Manifest],
-        last: StageRecord,
+        self, stage: Stage, sections: Mapping[str, Mapping[str, Any]], inputs: Sequence[Manifest], last: StageRecord
     ) -> None:
         self._stage, self._is_new = stage, last.shards is None
         self._old = {(record.partition, record.name): record for record in last.shards or ()}

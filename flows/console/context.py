@@ -52,8 +52,7 @@ WorkersOption = Annotated[
     Option("--workers", min=0, help="Local worker processes; default: one per core; 0: compute in this process."),
 ]
 SchedulerOption = Annotated[
-    str | None,
-    Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786."),
+    str | None, Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786.")
 ]
 ClusterOption = Annotated[
     Path | None,

@@ -238,11 +238,7 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
     shared = [line for line in told[0][:-1] if all(_key(line) in map(_key, lines) for lines in told[1:])]
     keys = set(map(_key, shared))
     different = [[line for line in lines if _key(line) not in keys] for lines in told]
-    return [
-        *_length(people),
-        *shared,
-        *(line for lines in different for line in ("[[ingest.takes.persons]]", *lines)),
-    ]
+    return [*_length(people), *shared, *(line for lines in different for line in ("[[ingest.takes.persons]]", *lines))]
 
 
 def _key(line: str) -> str:

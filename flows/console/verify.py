@@ -31,11 +31,7 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     if stages := sorted(damaged - RESERVED_NAMES):
         force = " ".join(f"--force {stage}" for stage in stages)
         lines.append(f"`pasdedeux run STUDY {force}` recomputes what is damaged")
-    described = {
-        "is_ok": audit.is_ok,
-        **asdict(audit),
-        "problems": [str(problem) for problem in audit.problems],
-    }
+    described = {"is_ok": audit.is_ok, **asdict(audit), "problems": [str(problem) for problem in audit.problems]}
     answer(described, lines, as_json=as_json)
     if not audit.is_ok:
         raise typer.Exit(1)

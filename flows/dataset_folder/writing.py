@@ -24,14 +24,7 @@ import numpy as np
 
 from flows.dataset_folder.contents import Contents, Group, cut, find_contents
 from flows.dataset_folder.describing import describe
-from flows.dataset_folder.layout import (
-    MANIFEST,
-    FolderFile,
-    FolderManifest,
-    PartKey,
-    read_manifest,
-    read_sides,
-)
+from flows.dataset_folder.layout import MANIFEST, FolderFile, FolderManifest, PartKey, read_manifest, read_sides
 from flows.dataset_folder.statistics import contact_figures, figures_of_motions
 from flows.machine import usable_cores
 from flows.planning import PlanError

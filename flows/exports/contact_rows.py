@@ -15,11 +15,7 @@ from storage_schema.encoding import encode
 from tasks.contacts import ContactRows, find_contact_rows
 
 CONTACTS = TABLES["contacts"].name
-_PARTS = {
-    "poses": ("take_id",),
-    "variants": ("take_id", "variant_id"),
-    "motions": ("sequence_id", "method"),
-}
+_PARTS = {"poses": ("take_id",), "variants": ("take_id", "variant_id"), "motions": ("sequence_id", "method")}
 """Columns that the parts of a cast's name are."""
 
 

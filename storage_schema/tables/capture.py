@@ -62,12 +62,7 @@ TAKE_QUALITY = Table(
     name="take_quality",
     meaning="One row per take and person: whether the capture is what people can do, at its own frame rate.",
     sorted_by=("take_id", "person"),
-    columns=(
-        TAKE_ID,
-        PERSON,
-        *figures("take_quality"),
-        *VERDICT,
-    ),
+    columns=(TAKE_ID, PERSON, *figures("take_quality"), *VERDICT),
 )
 
 POSES = Table(

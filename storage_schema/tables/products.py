@@ -69,13 +69,7 @@ VARIANT_FRAMES = Table(
     name="variant_frames",
     meaning="One row per variant of a take and frame: how good it is there.",
     sorted_by=("take_id", "variant_id", "frame"),
-    columns=(
-        TAKE_ID,
-        VARIANT_ID,
-        FRAME,
-        *figures("variant_frames"),
-        VERDICT[0],
-    ),
+    columns=(TAKE_ID, VARIANT_ID, FRAME, *figures("variant_frames"), VERDICT[0]),
 )
 
 CONTACTS = Table(

@@ -10,7 +10,8 @@ from typing import Annotated
 
 from typer import Argument
 
-from flows.console.context import JsonOption, answer, app, echo
+from flows.console import options
+from flows.console.context import answer, app, echo
 from flows.planning import PlanError
 from tasks.shards import worker_environment
 
@@ -27,7 +28,7 @@ def bench(
             help="One stage, loader, scale, full-scale or commands; default: all stages, loader, scale.",
         ),
     ] = None,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Measure kernels or whole commands against a plain implementation; needs a checkout.
 

@@ -9,12 +9,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
 
-from flows.console.context import JsonOption, answer, app
+from flows.console import options
+from flows.console.context import answer, app
 from flows.console.display import Steps, format_table, make_listener
 from flows.console.inputs import RateOption, UnitOption, in_options
 from flows.exports.export_format import write_text
@@ -59,8 +60,8 @@ def check(
     unit: UnitOption = None,
     rate: RateOption = None,
     workers: Annotated[int | None, Option(min=1, help="Processes; one per core when not given.")] = None,
-    fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
-    as_json: JsonOption = False,
+    fail_on: options.FailOn = None,
+    as_json: options.Json = False,
 ) -> None:
     """Check motion of two people from any source, and show the worst.
 

@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 from typer import Argument, Option
 
-from flows.console.context import StoreOption, app, echo, open_store
+from flows.console import options
+from flows.console.context import app, echo, open_store
 from pasdedeux.completion.occlusion import NUM_NEAREST, complete_pair
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
@@ -25,7 +26,7 @@ def complete(
     draws: Annotated[str, Option("--draws", metavar="REF", help="Draws or seeds: draws:study, seeds:study.")],
     num_nearest: Annotated[int, Option("--nearest", min=1, help="Number of nearest draws used.")] = NUM_NEAREST,
     out: Annotated[Path | None, Option("--out", metavar="FILE", help="The completed pair.")] = None,
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
 ) -> None:
     """Fill in the unknown joints of a 3D pair, such as one from a depth camera.
 

@@ -1,4 +1,4 @@
-"""What every command has: the program they belong to, the graph of stages, options they share, how to answer."""
+"""What every command needs: the program, the graph of stages, the store, and output."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from pasdedeux.plain_text import visible
 
@@ -38,30 +38,6 @@ app = typer.Typer(
 
 _BUSY_S = 2.0
 """Work of more than so long says that it goes on."""
-
-StudyArgument = Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")]
-SettingOption = Annotated[
-    list[str] | None, Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
-]
-ReferenceArgument = Annotated[
-    str, Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
-]
-StoreOption = Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store, or s3://BUCKET/PREFIX.")]
-WorkersOption = Annotated[
-    int | None,
-    Option("--workers", min=0, help="Local worker processes; default: one per core; 0: compute in this process."),
-]
-SchedulerOption = Annotated[
-    str | None, Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786.")
-]
-ClusterOption = Annotated[
-    Path | None,
-    Option(
-        "--cluster", metavar="PROFILE", help="Start the Dask cluster that this file describes; it ends with the run."
-    ),
-]
-OversubscribeOption = Annotated[bool, Option("--oversubscribe", help="Allow more workers than usable cores.")]
-JsonOption = Annotated[bool, Option("--json", help="Answer as JSON on standard output.")]
 
 
 def key_option(model: type[BaseModel], key: str, *names: str, metavar: str | None = None) -> Any:

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
-from flows.console.context import StoreOption, app, echo, open_store
+from flows.console import options
+from flows.console.context import app, echo, open_store
 from flows.viewing.curating import thing_of
 from flows.viewing.shelf import open_shelf
 from pasdedeux.errors import InputError
@@ -29,7 +30,7 @@ def curate(
         str | None, Option(metavar="FIRST-LAST", help="Only this clip of a motion (frames of the video).")
     ] = None,
     curation: CurationOption = CURATION,
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
 ) -> None:
     """Accept or reject a variant, draw, seed, lifted pair, take, sequence or reconstructed motion.
 

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from flows.console.context import JsonOption, StoreOption, answer, app, open_store
+from flows.console import options
+from flows.console.context import answer, app, open_store
 from flows.dataset_folder import read_folder, write_folder
 from flows.planning import PlanError
 from flows.recorded import portable_files
@@ -44,8 +45,8 @@ def create(
     ] = None,
     version: Annotated[str | None, Option("--version", help="Version; the next number when not given.")] = None,
     note: Annotated[str, Option("--note", help="A line about it.")] = "",
-    store: StoreOption = Path("store"),
-    as_json: JsonOption = False,
+    store: options.Store = Path("store"),
+    as_json: options.Json = False,
 ) -> None:
     """Name the artifacts of the last run of a study as an immutable version of a dataset.
 
@@ -75,7 +76,7 @@ def create(
 
 
 @_group.command("list")
-def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+def show_all(store: options.Store = Path("store"), as_json: options.Json = False) -> None:
     """List the datasets of a store."""
     opened = open_store(store)
     datasets = list_datasets(opened)
@@ -101,7 +102,7 @@ _PlaceArgument = Annotated[
 
 @_group.command()
 def push(
-    label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
+    label: _LabelArgument, place: _PlaceArgument, store: options.Store = Path("store"), as_json: options.Json = False
 ) -> None:
     """Copy a version of a dataset, with everything it was computed from, to S3-compatible storage.
 
@@ -123,7 +124,7 @@ def push(
 
 @_group.command()
 def pull(
-    label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
+    label: _LabelArgument, place: _PlaceArgument, store: options.Store = Path("store"), as_json: options.Json = False
 ) -> None:
     """Copy a version of a dataset (default: the newest), with everything it was computed from, into a store.
 
@@ -144,8 +145,8 @@ def write(
     withhold: Annotated[
         list[str] | None, Option("--withhold", metavar="SOURCE", help="Source to leave out; may be given again.")
     ] = None,
-    store: StoreOption = Path("store"),
-    as_json: JsonOption = False,
+    store: options.Store = Path("store"),
+    as_json: options.Json = False,
 ) -> None:
     """Write a version of a dataset as one folder that any tool opens: Parquet, a card, splits, figures, players.
 
@@ -174,8 +175,8 @@ def write(
 @_group.command()
 def read(
     folder: Annotated[Path, Argument(metavar="FOLDER", help="Folder that `dataset write` made.")],
-    store: StoreOption = Path("store"),
-    as_json: JsonOption = False,
+    store: options.Store = Path("store"),
+    as_json: options.Json = False,
 ) -> None:
     """Read the folder of a dataset into a store, as if it had been built there.
 

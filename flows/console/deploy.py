@@ -9,19 +9,8 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from flows.console.context import (
-    ClusterOption,
-    OversubscribeOption,
-    SchedulerOption,
-    SettingOption,
-    StoreOption,
-    StudyArgument,
-    WorkersOption,
-    app,
-    echo,
-    graph_of,
-    open_store,
-)
+from flows.console import options
+from flows.console.context import app, echo, graph_of, open_store
 from flows.machine import cluster_settings
 from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, signed_in, telemetry_off
@@ -31,15 +20,15 @@ from flows.study import load_study
 @app.command()
 def deploy(
     context: typer.Context,
-    study: StudyArgument = "duets",
-    settings: SettingOption = None,
-    store: StoreOption = Path("store"),
+    study: options.Study = "duets",
+    settings: options.Settings = None,
+    store: options.Store = Path("store"),
     cron: Annotated[str | None, Option(metavar="EXPRESSION", help="When, in UTC: '0 2 * * *' is at 2:00.")] = None,
     every: Annotated[float | None, Option(min=1, metavar="SECONDS", help="Time between builds.")] = None,
-    workers: WorkersOption = None,
-    oversubscribe: OversubscribeOption = False,
-    scheduler: SchedulerOption = None,
-    cluster: ClusterOption = None,
+    workers: options.Workers = None,
+    oversubscribe: options.Oversubscribe = False,
+    scheduler: options.Scheduler = None,
+    cluster: options.Cluster = None,
     pool: Annotated[str, Option(help="Work pool; created if missing.")] = "pasdedeux",
 ) -> None:
     """Deploy a study to a Prefect server, as a build that runs on a schedule or on request.

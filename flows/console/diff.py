@@ -8,7 +8,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from flows.console.context import JsonOption, StoreOption, answer, app, open_store
+from flows.console import options
+from flows.console.context import answer, app, open_store
 from flows.console.display import format_table
 from flows.differences import Changes, differences
 from flows.reasons import shorten
@@ -21,9 +22,9 @@ _NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run,
 def diff(
     a: _NameArgument,
     b: _NameArgument,
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
     rows: Annotated[int, Option(min=0, help="Scores to show.")] = 20,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Compare two finished runs or two versions of datasets; only differences are shown, scores last.
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import typer
 
-from flows.console.context import JsonOption, StoreOption, answer, app, echo
+from flows.console import options
+from flows.console.context import answer, app, echo
 from flows.machine import GIB, free_bytes, kernel_cache, memory_bytes, nearest_folder, usable_cores
 from flows.prefect_server import ServerError, check_server, telemetry_off
 from storage_schema.provenance import package_versions
@@ -25,7 +26,7 @@ class _BadError(Exception):
 
 
 @app.command()
-def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+def doctor(store: options.Store = Path("store"), as_json: options.Json = False) -> None:
     """Check the installation; exit code 1 if something is missing."""
     checks: dict[str, Callable[[], str]] = {
         "packages": lambda: ", ".join(f"{name} {version}" for name, version in package_versions().items()),

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from typer import Option
 
-from flows.console.context import ReferenceArgument, StoreOption, app, echo, open_store, say
+from flows.console import options
+from flows.console.context import app, echo, open_store, say
 from flows.exports import EXPORT_FORMATS, Rate, RestPose, Units, export_reference, export_selection
 from pasdedeux.verdict import Level
 from storage_schema import parse_reference
@@ -16,8 +17,8 @@ from tasks.data import LOOK, Data, player_page
 
 @app.command()
 def export(
-    reference: ReferenceArgument,
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    reference: options.Reference,
+    out: options.OutFolder,
     file_format: Annotated[str, Option("--format", metavar="NAME", help=f"{', '.join(EXPORT_FORMATS)}.")] = "npz",
     rest_pose: Annotated[RestPose, Option(help="For poses and variants: that of the source, or a T-pose.")] = "source",
     units: Annotated[Units, Option(help="Lengths of their BVH files; `source`: as in each source's file.")] = "cm",
@@ -42,7 +43,7 @@ def export(
     curation: Annotated[
         Path | None, Option(metavar="FILE", help="File of choices; default: that of the study or dataset.")
     ] = None,
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
 ) -> None:
     """Export the rows of a reference to files, with units, licence and credits.
 
@@ -71,17 +72,16 @@ def export(
       pasdedeux export contacts:duets --format csv --out contacts
       pasdedeux export draws:duets --select 500 --out selected
     """
-    options: dict[str, Any] = {} if verdict is None else {"verdict": Level(verdict)}
-    options |= {"all_methods": True} if all_methods else {}
-    options |= {} if footage is None else {"footage": footage}
-    options |= {} if body_model is None else {"body_model": body_model}
+    worst = None if verdict is None else Level(verdict)
+    stated = {"verdict": worst, "all_methods": all_methods, "footage": footage, "body_model": body_model}
+    some: dict[str, Any] = {name: value for name, value in stated.items() if value}
+    opened = open_store(store)
     if select is not None:
-        paths, words = export_selection(open_store(store), reference, file_format, out, count=select, **options)
+        paths, words = export_selection(opened, reference, file_format, out, count=select, **some)
         say([*map(str, paths), words])
         return
-    opened = open_store(store)
     written = export_reference(
-        opened, reference, file_format, out, rest_pose=rest_pose, units=units, rate=rate, curation=curation, **options
+        opened, reference, file_format, out, rest_pose=rest_pose, units=units, rate=rate, curation=curation, **some
     )
     say(map(str, written))
     data = Data(opened, curation)

@@ -16,7 +16,8 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from flows.console.context import StoreOption, WorkersOption, app, echo, graph_of, open_store
+from flows.console import options
+from flows.console.context import app, echo, graph_of, open_store
 from flows.console.run import build_and_report
 from flows.exports.credits import CREDITS_NAME, add_notice
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
@@ -81,8 +82,8 @@ def database(
     context: typer.Context,
     out: Annotated[Path, Option(help="Folder for the files.")] = Path("cmu"),
     study: Annotated[str, Option(help="Study of CMU takes to build.")] = "everyday",
-    store: StoreOption = Path("store"),
-    workers: WorkersOption = None,
+    store: options.Store = Path("store"),
+    workers: options.Workers = None,
     is_agreed: Annotated[
         bool, Option("--yes", help="Start; without it, only size, time and licence are printed.")
     ] = False,

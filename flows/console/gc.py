@@ -10,19 +10,20 @@ from typing import Annotated
 from typer import Option
 
 from flows.collecting import Collection, collect, find_garbage
-from flows.console.context import JsonOption, StoreOption, answer, app, existing_store
+from flows.console import options
+from flows.console.context import answer, app, existing_store
 from flows.console.display import format_table, size_text
 from pasdedeux.plain_text import counted
 
 
 @app.command()
 def gc(
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
     days: Annotated[
         float, Option(min=0, max=36500, metavar="N", help="Also keep everything of the last N days.")
     ] = 7.0,
     is_dry: Annotated[bool, Option("--dry-run/--yes", help="List what would be removed, or remove it.")] = True,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Delete unneeded artifacts of a store; without --yes, only list them.
 

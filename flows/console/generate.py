@@ -10,6 +10,7 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
+from flows.console import options
 from flows.console.context import app, echo, say
 from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
 from flows.exports import write_credits
@@ -33,7 +34,7 @@ from tasks.takes import read_take
 def generate(
     model: Annotated[str, Argument(metavar="MODEL", help="Trained model: NAME, NAME@STUDY/SPLIT, or file.")],
     take: TakeArgument,
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    out: options.OutFolder,
     num: Annotated[int, Option("--num", min=1, max=10_000, help="How many motions.")] = 1,
     scales: Annotated[str, Option(metavar="S,S", help="Scales of all of B's bones; drawn when not given.")] = "",
     key_frames: Annotated[Path | None, Option(metavar="FILE", help="Poses that B passes through (JSON).")] = None,

@@ -9,20 +9,10 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from flows.console.context import (
-    JsonOption,
-    SettingOption,
-    StoreOption,
-    StudyArgument,
-    answer,
-    app,
-    echo,
-    graph_of,
-    next_command,
-    open_store,
-)
+from flows.console import options
+from flows.console.context import answer, app, echo, graph_of, next_command, open_store
 from flows.console.display import cost_lines, plan_lines
-from flows.console.run import ForceOption, FromOption, OnlyOption, UntilOption, with_page
+from flows.console.run import with_page
 from flows.costs import estimate_cost, planned_work
 from flows.planning import PlanError, StageSelection, make_plan, refuse_nothing
 from flows.records import uncollected
@@ -36,19 +26,19 @@ NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
 @uncollected()
 def plan(
     context: typer.Context,
-    study: StudyArgument = "duets",
-    settings: SettingOption = None,
-    store: StoreOption = Path("store"),
-    only: OnlyOption = None,
-    start: FromOption = None,
-    until: UntilOption = None,
-    force: ForceOption = None,
+    study: options.Study = "duets",
+    settings: options.Settings = None,
+    store: options.Store = Path("store"),
+    only: options.Only = None,
+    start: options.From = None,
+    until: options.Until = None,
+    force: options.Force = None,
     cost: Annotated[bool, Option("--cost", help="Estimate the duration, by number of workers.")] = False,
     workers: Annotated[list[int] | None, Option("--workers", min=1, help="With --cost: number of workers.")] = None,
     measured: Annotated[
         Path | None, Option("--measured", metavar="DIR", help="With --cost: store with measured times.")
     ] = None,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """List what a run would compute and why, by stage and partition; nothing is started.
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
+from flows.console import options
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption
 from flows.console.cameras import (
     Calibration,
@@ -24,7 +25,7 @@ from flows.console.cameras import (
     sources_of,
     steady_tracks,
 )
-from flows.console.context import StoreOption, app, echo, key_option, say
+from flows.console.context import app, echo, key_option, say
 from flows.console.display import Steps, format_table, make_listener
 from flows.console.inputs import find_database, read_statures
 from flows.console.live import follow_video
@@ -63,7 +64,7 @@ def reconstruct(
     database: Annotated[
         str | None, Option(metavar="REF", help="Projections; default: the only ones in the store.")
     ] = None,
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
     out: Annotated[
         Path | None, Option(help="Folder for BVH files and a page (default: this folder); with --follow, a file.")
     ] = None,

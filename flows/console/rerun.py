@@ -8,16 +8,8 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from flows.console.context import (
-    JsonOption,
-    OversubscribeOption,
-    SchedulerOption,
-    WorkersOption,
-    answer,
-    app,
-    graph_of,
-    open_store,
-)
+from flows.console import options
+from flows.console.context import answer, app, graph_of, open_store
 from flows.console.display import outcome_lines
 from flows.console.run import build
 from flows.dataset_folder.reading import is_folder, read_recorded_folder, rebuild_folder
@@ -41,10 +33,10 @@ def rerun(
     ],
     store: Annotated[Path, Option("--store", metavar="DIR", help="Folder of the store to build in.")],
     source: Annotated[Path, Option("--from", metavar="DIR", help="Store with the record.")] = Path("store"),
-    workers: WorkersOption = None,
-    oversubscribe: OversubscribeOption = False,
-    scheduler: SchedulerOption = None,
-    as_json: JsonOption = False,
+    workers: options.Workers = None,
+    oversubscribe: options.Oversubscribe = False,
+    scheduler: options.Scheduler = None,
+    as_json: options.Json = False,
 ) -> None:
     """Rebuild a finished run or a version of a dataset in another store and compare artifact by artifact.
 

@@ -9,18 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from flows.console.context import (
-    JsonOption,
-    OversubscribeOption,
-    SettingOption,
-    StoreOption,
-    WorkersOption,
-    app,
-    echo,
-    graph_of,
-    next_command,
-    open_store,
-)
+from flows.console import options
+from flows.console.context import app, echo, graph_of, next_command, open_store
 from flows.console.run import build_and_report
 from flows.machine import cluster_settings
 from flows.outcomes import Run
@@ -43,15 +33,15 @@ _NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0
 def restart(
     context: typer.Context,
     draw: Annotated[str, Argument(metavar="DRAW", help="One draw: draws@key#row or draws:study/partition#row.")],
-    settings: SettingOption = None,
+    settings: options.Settings = None,
     out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the file of the seed.")] = Path("restarts"),
     edited: Annotated[
         Path | None, Option(metavar="FILE", help="The edited JSON file of the draw, to use as seed.")
     ] = None,
-    store: StoreOption = Path("store"),
-    workers: WorkersOption = None,
-    oversubscribe: OversubscribeOption = False,
-    as_json: JsonOption = False,
+    store: options.Store = Path("store"),
+    workers: options.Workers = None,
+    oversubscribe: options.Oversubscribe = False,
+    as_json: options.Json = False,
 ) -> None:
     """Start new chains from a draw.
 

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
+from flows.console import options
 from flows.console.context import app, busy, echo, say
 from flows.console.display import format_table
 from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
@@ -53,7 +54,7 @@ KEPT = "source"
 def retarget(
     take: TakeArgument,
     to: Annotated[list[str], Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    out: options.OutFolder,
     store: Annotated[Path, Option(metavar="DIR", help="Store of TAKE and NAME.")] = Path("store"),
     unit: UnitOption = None,
     body_unit: Annotated[

@@ -15,28 +15,13 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from typer import Option
 
-from flows.console.context import (
-    ClusterOption,
-    JsonOption,
-    OversubscribeOption,
-    SchedulerOption,
-    SettingOption,
-    StoreOption,
-    StudyArgument,
-    WorkersOption,
-    answer,
-    app,
-    busy,
-    echo,
-    graph_of,
-    next_command,
-    open_store,
-)
+from flows.console import options
+from flows.console.context import answer, app, busy, echo, graph_of, next_command, open_store
 from flows.console.display import headlines, make_listener, outcome_lines
 from flows.execution import open_pool, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, kernel_cache, nearest_folder
@@ -69,43 +54,28 @@ _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.uti
 """What Prefect imports when the first flow begins, and all else waits for it."""
 
 
-OnlyOption = Annotated[list[str] | None, Option("--only", metavar="STAGE", help="Only these stages.")]
-
-
-FromOption = Annotated[str | None, Option("--from", metavar="STAGE", help="This stage and all that depend on it.")]
-
-
-UntilOption = Annotated[str | None, Option("--until", metavar="STAGE", help="This stage and all that it needs.")]
-
-
-ForceOption = Annotated[
-    list[str] | None,
-    Option("--force", metavar="STAGE", help="Compute this stage again, in place; datasets keep their artifacts."),
-]
-
-
 @app.command()
 def run(
     context: typer.Context,
-    study: StudyArgument = "duets",
-    settings: SettingOption = None,
-    store: StoreOption = Path("store"),
-    workers: WorkersOption = None,
-    oversubscribe: OversubscribeOption = False,
+    study: options.Study = "duets",
+    settings: options.Settings = None,
+    store: options.Store = Path("store"),
+    workers: options.Workers = None,
+    oversubscribe: options.Oversubscribe = False,
     worker_memory: Annotated[float, Option(min=0.25, metavar="GB", help="Memory of a worker.")] = WORKER_MEMORY_GB,
-    scheduler: SchedulerOption = None,
-    cluster: ClusterOption = None,
-    only: OnlyOption = None,
-    start: FromOption = None,
-    until: UntilOption = None,
-    force: ForceOption = None,
+    scheduler: options.Scheduler = None,
+    cluster: options.Cluster = None,
+    only: options.Only = None,
+    start: options.From = None,
+    until: options.Until = None,
+    force: options.Force = None,
     is_preview: Annotated[bool, Option("--preview", help=f"{PREVIEW_S:g} s of each take, as <study>-preview.")] = False,
     is_profiled: Annotated[
         bool, Option("--profile", help="Also write a profile beside the report: which process computed what, and when.")
     ] = False,
     opens: Annotated[bool, Option("--open", help="Open the report in a browser at the end.")] = False,
-    fail_on: Annotated[Literal["warn", "fail"] | None, Option(help="Exit code 1 if a verdict is this bad.")] = None,
-    as_json: JsonOption = False,
+    fail_on: options.FailOn = None,
+    as_json: options.Json = False,
 ) -> None:
     """Build a study: compute missing and stale artifacts.
 

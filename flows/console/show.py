@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from typer import Option
 
-from flows.console.context import JsonOption, ReferenceArgument, StoreOption, answer, app, open_store, say
+from flows.console import options
+from flows.console.context import answer, app, open_store, say
 from flows.console.display import format_table
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
@@ -39,14 +40,14 @@ _ROWS, _SCORE_ROWS, _ROWS_OF_MANY, _MAX_STEPS = 5, 12, 3, 12
 
 @app.command()
 def show(
-    reference: ReferenceArgument,
-    store: StoreOption = Path("store"),
+    reference: options.Reference,
+    store: options.Store = Path("store"),
     rows: Annotated[
         int | None,
         Option(min=0, help=f"Rows to show: {_ROWS}; for scores {_SCORE_ROWS}, or {_ROWS_OF_MANY} per topic."),
     ] = None,
     has_files: Annotated[bool, Option("--files", help="Only the paths of the Parquet files, one per line.")] = False,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Print the columns, first rows and lineage of a reference.
 

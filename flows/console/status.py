@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from flows.console.context import JsonOption, StoreOption, answer, app, open_store
+from flows.console import options
+from flows.console.context import answer, app, open_store
 from flows.console.display import format_table, manifest_lines, size_text
 from flows.records import describe_runs, last_manifests, read_last_run, uncollected
 from pasdedeux.plain_text import counted
@@ -17,7 +18,7 @@ from tasks.summary import stage_verdict
 
 @app.command()
 @uncollected()
-def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+def status(store: options.Store = Path("store"), as_json: options.Json = False) -> None:
     """Show the contents of a store: its studies, their verdicts, its runs and its size."""
     opened = open_store(store)
     described = describe_store(opened)

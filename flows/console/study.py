@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from flows.console import options
 from flows.console.annotate import DetectionsOption, DetectOption, KeysOption, film_source
-from flows.console.context import JsonOption, SettingOption, answer, app, echo, graph_of, say
+from flows.console.context import answer, app, echo, graph_of, say
 from flows.console.display import format_table
 from flows.console.study_new import write_new_study
 from flows.reasons import shorten
@@ -31,7 +32,7 @@ app.add_typer(_group, name="study")
 
 
 @_group.command("list")
-def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
+def show_all(context: typer.Context, as_json: options.Json = False) -> None:
     """List the studies that ship, and what motion each needs."""
     graph = graph_of(context)
     studies = [_describe(name, graph) for name in shipped_studies()]
@@ -45,8 +46,8 @@ def show(
     context: typer.Context,
     name: Annotated[str, Argument(help="Name of a study that ships, or path of a .toml file.")],
     is_resolved: Annotated[bool, Option("--resolved", help="With inherited values and defaults.")] = False,
-    settings: SettingOption = None,
-    as_json: JsonOption = False,
+    settings: options.Settings = None,
+    as_json: options.Json = False,
 ) -> None:
     """Print the file of a study, or with --resolved every key with inherited values and defaults.
 
@@ -68,7 +69,7 @@ def show(
 def keys(
     context: typer.Context,
     section: Annotated[str | None, Argument(metavar="[SECTION]", help="One section; default: all.")] = None,
-    as_json: JsonOption = False,
+    as_json: options.Json = False,
 ) -> None:
     """Print every key that a study may have, with type, default, unit and meaning.
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import typer
 
-from flows.console.context import JsonOption, StoreOption, answer, app, existing_store
+from flows.console import options
+from flows.console.context import answer, app, existing_store
 from flows.console.display import size_text
 from pasdedeux.plain_text import counted
 from storage_schema import verify as verify_store
@@ -16,7 +17,7 @@ from storage_schema.verification import ProblemKind
 
 
 @app.command()
-def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+def verify(store: options.Store = Path("store"), as_json: options.Json = False) -> None:
     """Read every file of the store and compare it with its manifest; exit code 1 if anything is wrong."""
     opened = existing_store(store)
     audit = verify_store(opened)

@@ -8,7 +8,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from flows.console.context import StoreOption, WorkersOption, app, echo, open_store
+from flows.console import options
+from flows.console.context import app, echo, open_store
 from flows.console.curate import CURATION, CurationOption
 from flows.console.inputs import UnitOption, find_take
 from flows.viewing.editing import Editor
@@ -27,9 +28,9 @@ def view(
             metavar="[REF|RUN|FILE ...]", help="Study, reference, run, dataset, or a motion file for each person."
         ),
     ] = None,
-    store: StoreOption = Path("store"),
+    store: options.Store = Path("store"),
     port: Annotated[int, Option(min=0, max=65535, help="Port of this machine; 0 takes any that is free.")] = 8080,
-    workers: WorkersOption = None,
+    workers: options.Workers = None,
     curation: CurationOption = CURATION,
     unit: UnitOption = None,
 ) -> None:

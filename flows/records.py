@@ -23,6 +23,7 @@ from storage_schema import (
     ShardRecord,
     StorageError,
     Store,
+    latest_studies,
     list_runs,
     open_run,
     read_latest,
@@ -49,6 +50,11 @@ def read_last_run(store: Store, study: str) -> LatestRun | None:
         return read_latest(store, study)
     except (CorruptArtifact, MissingArtifact):
         return None
+
+
+def last_runs(store: Store) -> list[LatestRun]:
+    """Return the last run of every study, except those whose record cannot be read."""
+    return [last for study in latest_studies(store) if (last := read_last_run(store, study)) is not None]
 
 
 @contextmanager

@@ -29,9 +29,6 @@ class FolderStore(Store):
         root = Path(place).absolute()
         self._set_up(root, str(root))
 
-    def refresh(self) -> None:
-        """Do nothing: reads always see the current files."""
-
     @contextmanager
     def in_use(self, *, alone: bool = False) -> Iterator[None]:
         """Protect the store from garbage collection in this block; `alone`: nobody else may plan or build meanwhile.
@@ -54,9 +51,6 @@ class FolderStore(Store):
                     raise
             yield
 
-    def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
-        """Do nothing: it is there."""
-
     def has_files(self, manifest: Manifest) -> bool:
         """Tell whether every file of an artifact is there with the right size."""
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
@@ -78,10 +72,6 @@ class FolderStore(Store):
     def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
         """Return the sha256 of the bytes of a data file; OSError where they cannot be read."""
         return file_sha256(self.folder(ref.stage, ref.key) / name)
-
-    def drop_copies(self, manifest: Manifest) -> bool:
-        """Do nothing: there are no copies."""
-        return False
 
     def prepare(self) -> None:
         """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
@@ -158,9 +148,6 @@ class FolderStore(Store):
                     parents.add(target.parent)
             for parent in parents:
                 sync_folder(parent)
-
-    def sweep(self) -> None:
-        """Do nothing: every file lies with its artifact."""
 
     def _there(self, ref: ArtifactRef) -> Manifest | None:
         """Return the manifest under a key, also one of other columns, where its files are there; else None."""

@@ -26,7 +26,7 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     Raises:
         MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
     """
-    runs = [{ref: ref for stage in last_run.stages for ref in last_run.refs(stage)} for last_run in _last_runs(store)]
+    runs = [{ref: ref for ref in last_run.refs()} for last_run in _last_runs(store)]
     mine = [run for run in runs if any(ref in run and run[ref].place == ref.place for ref in refs)]
     named = {ref.place for ref in refs}
     waiting, seen = list(refs), set(named)

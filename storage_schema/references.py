@@ -205,7 +205,7 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
             f"study '{reference.study}' has not run in the store {store}; studies that have: {there}; "
             "`pasdedeux run` builds a study, --store names another store"
         )
-    refs = [ref for stage in latest.stages for ref in latest.refs(stage, reference.partition)]
+    refs = latest.refs(partition=reference.partition)
     if not refs:
         partitions = sorted({shard.partition for shards in latest.stages.values() for shard in shards})
         raise UnknownReference(

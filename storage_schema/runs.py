@@ -83,11 +83,12 @@ class LatestRun:
     run_id: str
     stages: dict[str, tuple[ShardRecord, ...]] = field(default_factory=dict)
 
-    def refs(self, stage: str, partition: str | None = None) -> list[ArtifactRef]:
-        """Return the artifacts of a stage, or of one partition of it; none when the stage has not run."""
+    def refs(self, stage: str | None = None, partition: str | None = None) -> list[ArtifactRef]:
+        """Return the artifacts of a stage or of all, of one partition or of all; none when the stage has not run."""
         return [
-            ArtifactRef(stage, shard.key, shard.content_digest)
-            for shard in self.stages.get(stage, ())
+            ArtifactRef(name, shard.key, shard.content_digest)
+            for name in (self.stages if stage is None else [stage])
+            for shard in self.stages.get(name, ())
             if partition in (None, shard.partition)
         ]
 

@@ -91,8 +91,7 @@ class Store:
     # What each kind of store does in its own way
 
     def refresh(self) -> None:
-        """Refresh the view of the store; RemoteError if it does not answer."""
-        raise NotImplementedError
+        """Bring the view of the store up to date, where it is not read directly; RemoteError if it does not answer."""
 
     def in_use(self, *, alone: bool = False) -> AbstractContextManager[None]:
         """Protect the store from garbage collection in this block; `alone`: nobody else may plan or build meanwhile.
@@ -104,8 +103,7 @@ class Store:
         raise NotImplementedError
 
     def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
-        """Have the manifest of an artifact in `root` as it is now, if `known` does not stand there."""
-        raise NotImplementedError
+        """Bring the manifest of an artifact into `root` as it is now, if `known` is not there."""
 
     def has_files(self, manifest: Manifest) -> bool:
         """Tell whether every file of an artifact is there with the right size."""
@@ -124,7 +122,7 @@ class Store:
 
     def drop_copies(self, manifest: Manifest) -> bool:
         """Remove copies here of data files whose bytes are not the store's; returns whether there were any."""
-        raise NotImplementedError
+        return False
 
     def prepare(self) -> None:
         """Make the store where it is not there, and clear away what dead processes left; once per object."""
@@ -152,7 +150,6 @@ class Store:
 
     def sweep(self) -> None:
         """Remove files that belong to no artifact."""
-        raise NotImplementedError
 
     # Finding and reading
 

@@ -11,6 +11,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.plain_text import counted
 from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema.ancestry import inputs_with
 from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import StageInputs
 
@@ -73,7 +74,7 @@ def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.n
 
 def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
     """Return the artifact with the take that variants were made from."""
-    return next(one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables)
+    return inputs_with(store, ref, "poses")[0]
 
 
 def read_variants(store: Store, ref: ArtifactRef, index: int | None = None) -> np.ndarray:

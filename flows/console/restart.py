@@ -15,12 +15,12 @@ from flows.console.run import build_and_report
 from flows.machine import cluster_settings
 from flows.outcomes import Run
 from flows.planning import PlanError, StageSelection
-from flows.records import last_sections, read_last_run
+from flows.records import last_runs, last_sections
 from flows.study import study_from_tree
 from flows.study_files import HEAD, PUBLISH, StudyTree
 from pasdedeux.errors import named
 from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
-from storage_schema import Store, latest_studies
+from storage_schema import Store
 from tasks.draw_sets import REPAIRED
 from tasks.seeds.files import DrawSeed, pair_of_draw
 from tasks.sweep import merged
@@ -95,10 +95,9 @@ def restart(
 
 def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
     """Return the study that a draw is from, with its settings as they were."""
-    for study in latest_studies(store):
-        last = read_last_run(store, study)
-        if last and chosen.ref in last.refs("chains") and (sections := last_sections(store, last)):
-            return study, sections
+    for last in last_runs(store):
+        if chosen.ref in last.refs("chains") and (sections := last_sections(store, last)):
+            return last.study, sections
     draw = f"draws@{chosen.ref.key[:12]}#{chosen.row}"
     command = next_command("export", draw, "--format", "json", "--out", "seeds", store=Path(str(store)))
     raise PlanError(

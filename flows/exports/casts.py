@@ -30,6 +30,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
+from storage_schema.ancestry import inputs_with
 from storage_schema.references import find_rows
 from tasks.curation import IDENTITY, rows_without
 from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
@@ -411,10 +412,7 @@ def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:
 
 def _annotated_hz(store: Store, ref: ArtifactRef) -> float:
     """Return the rate of the annotations that something was made from."""
-    read = next(
-        manifest for manifest in map(store.manifest, store.manifest(ref).inputs) if "annotations" in manifest.tables
-    )
-    return PeopleFacts.of(read).rate_hz or _NOMINAL_HZ
+    return PeopleFacts.of(store.manifest(inputs_with(store, ref, "annotations")[0])).rate_hz or _NOMINAL_HZ
 
 
 def _level(store: Store, ref: ArtifactRef) -> Level:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
-from flows.records import read_last_run
+from flows.records import last_runs
 from flows.templates import render
 from pasdedeux.learning.registry import Weights, write_weights
 from pasdedeux.plain_text import markdown_text
-from storage_schema import Manifest, Store, latest_studies
+from storage_schema import Manifest, Store
 from tasks.facts import ModelFacts, TakeFacts
 from tasks.judgements import verdict_of
 from tasks.training.run import load_stored
@@ -70,8 +70,7 @@ def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
     evaluations = [
         one for one in store.artifacts("evaluation") if manifest.ref in one.inputs and "scores" in one.tables
     ]
-    lasts = [last for study in latest_studies(store) if (last := read_last_run(store, study)) is not None]
-    current = {ref.place for last in lasts for ref in last.refs("evaluation")}
+    current = {ref.place for last in last_runs(store) for ref in last.refs("evaluation")}
     for scores in [one for one in evaluations if one.ref.place in current] or evaluations:
         rows = store.read(scores.ref, "scores")
         for row in map(rows.row, range(rows.num_rows)):

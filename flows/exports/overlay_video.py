@@ -19,6 +19,7 @@ from pasdedeux.evaluation.pictures import COLOUR_NAMES, person_rgb
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import Skeleton
 from storage_schema import Store
+from storage_schema.ancestry import inputs_with
 from tasks.facts import PeopleFacts
 from tasks.ingest.film.readers import first_shown, image_at, open_film
 
@@ -135,7 +136,7 @@ def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags,
     And the rate on which ingest placed it, where that of the film is not constant.
     """
     assert cast.ref is not None
-    ref = next(one for one in store.manifest(cast.ref).inputs if "annotations" in store.manifest(one).tables)
+    ref = inputs_with(store, cast.ref, "annotations")[0]
     name = seen.skeleton.name
     columns = ["sequence_id", "frame", "person_id", f"{name}_px", f"{name}_confidence"]
     rows = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])

@@ -25,6 +25,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from storage_schema import ArtifactRef, Store
+from storage_schema.ancestry import inputs_with
 from tasks.annotated_pairs import PairPlace, SeenPair, place_of, read_seen_pairs
 from tasks.facts import MotionFacts
 from tasks.judgements import verdicts_of_parts
@@ -330,13 +331,11 @@ KINDS: Mapping[str, Kind] = {
 @lru_cache(maxsize=4)
 def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
     """Return the annotated pairs that a chain was sampled with."""
-    inputs = [store.manifest(one) for one in store.manifest(ref).inputs]
     seen_pairs: list[SeenPair] = []
-    for views in (manifest for manifest in inputs if "views" in manifest.tables):
-        for annotated in (
-            manifest.ref for manifest in inputs if "annotations" in manifest.tables and manifest.ref in views.inputs
-        ):
-            seen_pairs += read_seen_pairs(store, annotated, views.ref, num_hypotheses=1)[0].values()
+    for views in inputs_with(store, ref, "views"):
+        for annotated in inputs_with(store, ref, "annotations"):
+            if annotated in store.manifest(views).inputs:
+                seen_pairs += read_seen_pairs(store, annotated, views, num_hypotheses=1)[0].values()
     return seen_pairs
 
 

@@ -20,6 +20,7 @@ from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
+from storage_schema.ancestry import inputs_with
 from tasks.annotated_pairs import read_people
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.facts import SequenceFacts
@@ -139,8 +140,7 @@ def _motion(store: Store, ref: ArtifactRef, sequence_id: str) -> CameraMotion | 
 
 @lru_cache(maxsize=4)
 def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
-    takes = [one for one in store.manifest(ref).inputs if "poses" in store.manifest(one).tables]
-    return GroundTruth.read(store, takes, [ref], column=column)
+    return GroundTruth.read(store, inputs_with(store, ref, "poses"), [ref], column=column)
 
 
 @lru_cache(maxsize=4)

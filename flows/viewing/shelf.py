@@ -193,8 +193,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
         if reference.table not in GROUPS:
             raise InputError(f"'{word}' contains no people; tables with people: {', '.join(GROUPS)}")
         last = read_latest(store, reference.study) if reference.study else None
-        rest = [ref for stage in last.stages for ref in last.refs(stage)] if last else []
-        rest = [ref for ref in rest if store.find(ref.stage, ref.key)]
+        rest = [ref for ref in last.refs() if store.find(*ref.place)] if last else []
         shelf = Shelf(store, refs, rest, (reference.table,), last_sections(store, last))
     elif "@" in word or word in {folder.run_id for folder in list_runs(store)}:
         recorded = read_recorded(store, word)
@@ -206,8 +205,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
             raise InputError(
                 f"'{word}' is no file here, and no study, run or reference of the store {store}; studies: {there}"
             )
-        refs = [ref for stage in latest.stages for ref in latest.refs(stage)]
-        refs = [ref for ref in refs if store.find(ref.stage, ref.key)]
+        refs = [ref for ref in latest.refs() if store.find(*ref.place)]
         shelf = Shelf(store, refs, sections=last_sections(store, latest))
     if not shelf.parts:
         raise InputError(f"'{word}' contains no people yet; tables with people: {', '.join(GROUPS)}")

@@ -22,6 +22,7 @@ from storage_schema import (
     parse_reference,
     source_credits,
 )
+from storage_schema.ancestry import inputs_with
 from storage_schema.references import find_rows
 from tasks.facts import Facts
 from tasks.ingest.files import load_file, read_again
@@ -133,7 +134,7 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     manifest, row = store.manifest(ref), rows.start
     draw = store.read(ref, "draws", rows=rows)
     seed_index, density = int(draw["seed_index"][0]), str(draw["density"][0])
-    (seeds_ref,) = (one for one in manifest.inputs if "seeds" in store.manifest(one).tables)
+    (seeds_ref,) = inputs_with(store, ref, "seeds")
     seeds = store.read(seeds_ref, "seeds", columns=["seed_index", "pair17_m"])
     seed_row = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
     chart = PairChart(np.array(seeds["pair17_m"][seed_row], dtype=np.float64))

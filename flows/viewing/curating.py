@@ -1,16 +1,20 @@
-"""Accepting and rejecting what is shown: whole items, single frames, clips."""
+"""Accepts and rejects what is shown: whole items, single frames and clips; with its folder of the panel."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
 from flows.viewing.kinds import KINDS
+from flows.viewing.panel import Panel, set_value
 from flows.viewing.scene import Scene
 from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf, moment_reference
-from tasks.curation import UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
+from tasks.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
+
+if TYPE_CHECKING:
+    from flows.viewing.viewer import Viewer
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,50 @@ class Moment:
     def is_thing(self) -> bool:
         """The frame is accepted or rejected by itself."""
         return is_each_frame(self.part, self.item)
+
+
+@dataclass(frozen=True)
+class ChoicesPane:
+    """The folder of the panel in which items, frames and clips are accepted and rejected."""
+
+    viewer: Viewer
+    reason: Any
+    start: Any
+    end: Any
+
+    @classmethod
+    def build(cls, panel: Panel, viewer: Viewer) -> Self:
+        """Add the widgets to the panel."""
+        with panel.gui.add_folder("Accept or reject", expand_by_default=False):
+            reason = panel.gui.add_text("reason", "")
+            panel.button("Accept", lambda _: pane.decide("accept"), "K")
+            panel.button("Reject", lambda _: pane.decide("reject"), "X")
+            panel.button("Undo", lambda _: pane.decide("undo"), "U")
+            start = panel.button("Clip starts here", lambda _: pane.mark_clip("start"), "I")
+            end = panel.button("Clip ends here", lambda _: pane.mark_clip("end"), "O")
+        pane = cls(viewer, reason, start, end)
+        return pane
+
+    def show(self, table: str) -> None:
+        """Offer clips where those of a table can be chosen."""
+        self.start.visible = self.end.visible = table in CLIPPED
+
+    def decide(self, decision: Decision | Literal["undo"]) -> None:
+        """Accept or reject what is shown, for the reason in the panel, and go on to the next thing."""
+        viewer = self.viewer
+        with viewer.lock:
+            moment = viewer.moment
+            viewer.panel.tell(viewer.curation.decide(decision, moment, str(self.reason.value)))
+            set_value(self.reason, "")
+            viewer.listing.sort(viewer.index)
+            viewer.listing.mark(viewer.index)
+            viewer.step(1 if moment.is_thing and decision != "undo" else 0)
+
+    def mark_clip(self, edge: Literal["start", "end"]) -> None:
+        """Let the clip that choices are about start or end at this frame."""
+        with self.viewer.lock:
+            self.viewer.curation.mark(edge, self.viewer.moment)
+            self.viewer.look()
 
 
 class Curation:

@@ -50,30 +50,26 @@ class Editor:
     def __init__(self, viewer: Viewer, out: Path, num_workers: int | None = None) -> None:
         self.viewer, self.out, self._num_workers = viewer, out, num_workers
         self.process: subprocess.Popen[str] | None = None
-        gui, scene = viewer.server.gui, viewer.server.scene
+        panel, gui = viewer.panel, viewer.server.gui
         with gui.add_folder("Change and restart", expand_by_default=False) as self._folder:
             self._is_on = gui.add_checkbox("change this pair", initial_value=False)
             self._person = gui.add_dropdown("person", _PERSONS)
             self._joint = gui.add_dropdown("joint", PAIR17.joint_names, initial_value="left_wrist")
             self._limits = gui.add_text("joint limits", "", disabled=True)
-            self._next = gui.add_button("Next frame to correct")
-            self._save = gui.add_button("Save as seed")
-            self._lift = gui.add_button("Lift again")
-            self._restart = gui.add_button("Restart chains from here")
+            self._next = panel.button("Next frame to correct", lambda _: self.next_to_correct())
+            self._save = panel.button("Save as seed", lambda _: panel.tell(f"saved: {self.save()}"))
+            self._lift = panel.button("Lift again", lambda _: self.lift())
+            self._restart = panel.button("Restart chains from here", lambda _: self.restart())
             self._progress = gui.add_text("restart", "", disabled=True)
-        self._hand = scene.add_transform_controls(
+        self._hand = viewer.server.scene.add_transform_controls(
             "/hand", scale=0.3, disable_rotations=True, depth_test=False, visible=False
         )
         self._hand.on_update(
-            viewer.panel.safely(lambda event: self.drag(np.array(self._hand.position), is_last=event.phase == "end"))
+            panel.safely(lambda event: self.drag(np.array(self._hand.position), is_last=event.phase == "end"))
         )
-        self._next.on_click(viewer.panel.safely(lambda _: self.next_to_correct()))
-        self._is_on.on_update(viewer.panel.safely(lambda _: self._begin()))
+        self._is_on.on_update(panel.safely(lambda _: self._begin()))
         for handle in (self._person, self._joint):
-            handle.on_update(viewer.panel.safely(lambda _: self.show_hand()))
-        self._save.on_click(viewer.panel.safely(lambda _: viewer.panel.tell(f"saved: {self.save()}")))
-        self._lift.on_click(viewer.panel.safely(lambda _: self.lift()))
-        self._restart.on_click(viewer.panel.safely(lambda _: self.restart()))
+            handle.on_update(panel.safely(lambda _: self.show_hand()))
         viewer.on_moment.append(self.show_hand)
         self.show_hand()
 

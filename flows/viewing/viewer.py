@@ -14,8 +14,7 @@ import numpy as np
 import pyarrow
 
 from flows.viewing.bodies import GAP, surface_gap_curve
-from flows.viewing.choices import ChoicesPane
-from flows.viewing.curating import Curation, Moment
+from flows.viewing.curating import ChoicesPane, Curation, Moment
 from flows.viewing.curves import Curves
 from flows.viewing.kinds import KINDS
 from flows.viewing.listing import FAILS, PASSES, WARNS, Listing

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from flows.planning import PlanError
 from pasdedeux.plain_text import counted
@@ -141,8 +142,6 @@ def find_contents(
 
 def cut(batches: Iterable[Any], groups: Sequence[Group]) -> Iterator[Any]:
     """Yield the rows of each group, which rise, of batches of rows (`pyarrow.Table`) that follow each other."""
-    import pyarrow as pa
-
     coming, held, first = iter(batches), None, 0
     for group in groups:
         parts = []

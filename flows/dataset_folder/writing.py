@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from flows.dataset_folder.contents import Contents, Group, cut, find_contents
 from flows.dataset_folder.describing import describe
@@ -230,7 +231,7 @@ def fill(
         file.name: FolderFile(
             (part / file.name).stat().st_size,
             digests[file.name],
-            _num_rows(part / file.name),
+            pq.read_metadata(part / file.name).num_rows,
             tuple(key_of(one) for one in file.groups),
         )
         for file in files
@@ -377,10 +378,6 @@ def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str,
             yield str(rows["take_id"][0]), frame, bone
 
 
-def _row_groups(part: Path, file: DataFile, columns: Sequence[str] | None = None) -> Iterator[Any]:
-    return iter_table(part / file.name, TABLES[file.table], columns=columns)
-
-
 def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, Any]:
     """Return what `stats.json` has: figures by split, table and column."""
     manifests = {one.ref: one for one in contents.manifests}
@@ -388,7 +385,8 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
 
     def motions(motion_files: Sequence[DataFile]) -> Iterator[tuple[Any, float]]:
         for file in motion_files:
-            for group, rows in zip(file.groups, _row_groups(part, file, ["body22_m"]), strict=True):
+            row_groups = iter_table(part / file.name, TABLES[file.table], columns=["body22_m"])
+            for group, rows in zip(file.groups, row_groups, strict=True):
                 facts = PeopleFacts.of(manifests[group.ref])
                 shape = (facts.num_frames, facts.num_persons)
                 positions = np.asarray(rows["body22_m"], dtype=np.float64)
@@ -412,12 +410,6 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
             num_frames = {TakeFacts.of(one).take_id: TakeFacts.of(one).num_frames for one in takes}
             statistics[split]["poses"]["contact_rate"] = contact_figures(held, num_frames)
     return statistics
-
-
-def _num_rows(path: Path) -> int:
-    import pyarrow.parquet as pq
-
-    return int(pq.read_metadata(path).num_rows)
 
 
 def _copy(source: Path, target: Path) -> None:

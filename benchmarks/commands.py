@@ -16,7 +16,7 @@ from typing import NamedTuple
 from benchmarks import scale
 from benchmarks.benchmark import BenchmarkResult, Rate, measure
 from benchmarks.scale import growth
-from flows.console.status import describe_store
+from flows.console.status import describe_store, read_studies
 from flows.machine import usable_cores
 from pasdedeux.errors import PasdedeuxError
 from storage_schema import ArtifactRef, ShardRecord, Store, record_latest
@@ -120,7 +120,7 @@ def _status() -> BenchmarkResult:
         return BenchmarkResult(
             "status of a store",
             "artifacts",
-            *measure("status", lambda: describe_store(store), count=_NUM_ARTIFACTS),
+            *measure("status", lambda: describe_store(store, read_studies(store)), count=_NUM_ARTIFACTS),
             *measure("json of the manifests", lambda: [json.loads(p.read_bytes()) for p in paths], count=len(paths)),
             f"{_NUM_ARTIFACTS:,} artifacts without tables",
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -16,12 +17,13 @@ from flows.dataset_folder.reading import is_folder, read_recorded_folder, rebuil
 from flows.differences import compare
 from flows.machine import cluster_settings
 from flows.outcomes import Run
-from flows.planning import Plan, PlanError, make_plan
+from flows.planning import PlanError, make_plan
 from flows.reasons import shorten
 from flows.recorded import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
-from flows.study import study_from_record
+from flows.study import Study, study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import Store, in_use
+from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
 
@@ -60,11 +62,7 @@ def rerun(
     with in_use(origin):
         old = read_recorded(origin, name)
         study, graph = study_from_record(old.sections, old.stages, graph_of(context))
-        try:
-            plan = make_plan(study, graph, origin)
-        except InputError as error:
-            raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
-        _refuse_changed_files(old, plan)
+        _refuse_changed_files(old, study, graph, origin)
         outcome, made = build(Run(study, graph, target), cluster, is_quiet=as_json)
         named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
         new = artifacts_by_place(target, named)
@@ -78,8 +76,7 @@ def rerun(
     stale = f"{store} had results of other sources, which were compared; --store names an empty folder"
     warnings = [stale] if made.warnings else []
     lines = [*outcome_lines(outcome), *comparison.lines(), *(f"warning: {words}" for words in warnings)]
-    for what, (was, now) in changes.items():
-        lines.append(f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}")
+    lines += _change_lines(changes)
     described = {"name": old.label, "run_id": outcome.run_id, **comparison.to_json()}
     answer({**described, "changes": changes, "warnings": warnings}, lines, as_json=as_json)
     if not comparison.is_same:
@@ -92,28 +89,37 @@ def _rerun_folder(
     """Build a dataset's folder again by its record alone, in a store that has the dataset then."""
     old = read_recorded_folder(folder)
     study, graph = study_from_record(old.sections, old.stages, graph_of(context))
-    try:
-        _refuse_changed_files(old, make_plan(study, graph, target))
-    except InputError as error:
-        raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
+    _refuse_changed_files(old, study, graph, target)
     outcome, _ = build(Run(study, graph, target), cluster, is_quiet=as_json)
     named = tuple(ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts)
     with in_use(target):
         differing = rebuild_folder(folder, target, named)
     changes = environment_changes(old.environment, read_environment(target, outcome.run_id))
     words = f"same bytes: all files of {folder}" if not differing else f"other bytes: {', '.join(differing)}"
-    lines = [*outcome_lines(outcome), words]
-    lines += [
-        f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}" for what, (was, now) in changes.items()
-    ]
+    lines = [*outcome_lines(outcome), words, *_change_lines(changes)]
     described = {"name": old.label, "run_id": outcome.run_id, "differing": differing, "changes": changes}
     answer(described, lines, as_json=as_json)
     if differing:
         raise typer.Exit(1)
 
 
-def _refuse_changed_files(old: Recorded, plan: Plan) -> None:
-    """Refuse source files that have changed; `plan` is of the old study in the store that has it."""
+def _change_lines(changes: Mapping[str, tuple[str, str]]) -> list[str]:
+    """Return what changed since the record, a line each."""
+    return [
+        f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}" for what, (was, now) in changes.items()
+    ]
+
+
+def _refuse_changed_files(old: Recorded, study: Study, graph: Graph, store: Store) -> None:
+    """Refuse source files of the old study that have changed since the record was written.
+
+    Raises:
+        PlanError: One has changed, or the study cannot be planned here.
+    """
+    try:
+        plan = make_plan(study, graph, store)
+    except InputError as error:
+        raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
     for shard in (item.shard for stage in plan.stages for item in stage.shards):
         before = old.artifacts.get((shard.stage, shard.partition, shard.name))
         for file in shard.files:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from flows.console import options
 from flows.console.context import answer, app, open_store
 from flows.console.display import format_table, manifest_lines, size_text
-from flows.records import describe_runs, last_manifests, read_last_run, uncollected
+from flows.records import describe_runs, last_manifests, last_runs, uncollected
 from pasdedeux.plain_text import counted
-from storage_schema import LatestRun, Manifest, Store, latest_studies
+from storage_schema import LatestRun, Manifest, Store
 from storage_schema.references import what_is_wrong
 from tasks.summary import stage_verdict
+
+StudyManifests = list[tuple[LatestRun, dict[str, list[Manifest]]]]
+"""The last run of each study, with the artifacts of it that are still there, by stage."""
 
 
 @app.command()
@@ -21,65 +24,59 @@ from tasks.summary import stage_verdict
 def status(store: options.Store = Path("store"), as_json: options.Json = False) -> None:
     """Show the contents of a store: its studies, their verdicts, its runs and its size."""
     opened = open_store(store)
-    described = describe_store(opened)
-    answer(described.described, _status_lines(opened, described), as_json=as_json)
+    studies = read_studies(opened)
+    described = describe_store(opened, studies)
+    answer(described, _status_lines(opened, described, studies), as_json=as_json)
 
 
-class Described(NamedTuple):
-    """What `status` says of a store as JSON values, the last run of each study, and what is there of it by stage."""
-
-    described: dict[str, Any]
-    lasts: list[LatestRun]
-    manifests: dict[str, dict[str, list[Manifest]]]
+def read_studies(store: Store) -> StudyManifests:
+    """Return the last run of each study of a store and its artifacts."""
+    return [(last, last_manifests(store, last)) for last in last_runs(store)]
 
 
-def describe_store(store: Store) -> Described:
-    """Return what `status` says of a store."""
-    lasts = [last for name in latest_studies(store) if (last := read_last_run(store, name)) is not None]
-    manifests_by_study = {last.study: last_manifests(store, last) for last in lasts}
-    return Described(_describe(store, lasts, manifests_by_study), lasts, manifests_by_study)
+def describe_store(store: Store, studies: StudyManifests) -> dict[str, Any]:
+    """Return what `status` prints, as JSON values."""
+    return {
+        "store": str(store),
+        "studies": [_describe(last, manifests) for last, manifests in studies],
+        "runs": describe_runs(store),
+    }
 
 
-def _status_lines(store: Store, described: Described) -> Iterator[str]:
-    if not described.lasts:
+def _describe(last: LatestRun, by_stage: Mapping[str, Sequence[Manifest]]) -> dict[str, Any]:
+    stages = []
+    for stage, manifests in by_stage.items():
+        verdict = stage_verdict(manifests)
+        stages.append(
+            {
+                "stage": stage,
+                "num_shards": len(last.stages[stage]),
+                "num_there": len(manifests),
+                "bytes": sum(manifest.num_bytes for manifest in manifests),
+                "verdict": None if verdict is None else verdict.to_json(),
+            }
+        )
+    return {"study": last.study, "run_id": last.run_id, "stages": stages}
+
+
+def _status_lines(store: Store, described: Mapping[str, Any], studies: StudyManifests) -> Iterator[str]:
+    if not studies:
         yield f"store {store}: no study was built yet"
-    for last, study in zip(described.lasts, described.described["studies"], strict=True):
+    for (last, manifests), study in zip(studies, described["studies"], strict=True):
         yield f"study {study['study']}, last run {study['run_id']}"
         rows = [(f"  {s['stage']}", s["num_shards"], s["num_there"], size_text(s["bytes"])) for s in study["stages"]]
         yield from format_table(("  stage", "shards", "there", "size"), rows)
-        manifests = described.manifests[last.study]
         for line in (*_missing_lines(store, last, manifests), *manifest_lines(manifests)):
             yield f"  {line}"
-    yield from (f"run {record['run_id']}: {record['status']}" for record in described.described["runs"][-5:])
+    yield from (f"run {record['run_id']}: {record['status']}" for record in described["runs"][-5:])
 
 
 def _missing_lines(store: Store, last: LatestRun, by_stage: Mapping[str, Sequence[Manifest]]) -> list[str]:
-    """Say what is not there of what a study has made, and why; nothing where all is."""
+    """Return which artifacts of a study are missing, and why; nothing where all are there."""
     there = {manifest.ref.place for manifests in by_stage.values() for manifest in manifests}
-    gone = [ref for stage in last.stages for ref in last.refs(stage) if ref.place not in there]
+    gone = [ref for ref in last.refs() if ref.place not in there]
     return [
         f"missing: {counted(len(gone), 'artifact')}, such as {ref.stage}@{ref.key[:12]}, which "
         f"{what_is_wrong(ref, store)}; a run of the study recomputes what it needs"
         for ref in gone[:1]
     ]
-
-
-def _describe(
-    store: Store, lasts: Sequence[LatestRun], manifests: Mapping[str, Mapping[str, Sequence[Manifest]]]
-) -> dict[str, Any]:
-    studies = []
-    for last in lasts:
-        stages = []
-        for stage, found in manifests[last.study].items():
-            verdict = stage_verdict(found)
-            stages.append(
-                {
-                    "stage": stage,
-                    "num_shards": len(last.stages[stage]),
-                    "num_there": len(found),
-                    "bytes": sum(manifest.num_bytes for manifest in found),
-                    "verdict": None if verdict is None else verdict.to_json(),
-                }
-            )
-        studies.append({"study": last.study, "run_id": last.run_id, "stages": stages})
-    return {"store": str(store), "studies": studies, "runs": describe_runs(store)}

@@ -16,14 +16,14 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> None:
-    """Run the command line and leave with its exit code: 0 done, 1 failed work, 2 bad input, 130 interrupted.
+    """Run the command line and exit with its code: 0 done, 1 failed work, 2 bad input, 130 interrupted.
 
     Nothing is imported before it is called: a Dask worker imports this package by its entry point.
     """
     use_one_thread()
     try:
         from flows.console.app import run_command_line
-    except KeyboardInterrupt:  # the first second goes into imports
+    except KeyboardInterrupt:  # imports take the first second
         sys.stderr.write("interrupted; the same command continues the work\n")
         raise SystemExit(130) from None
     raise SystemExit(run_command_line(arguments, graph=graph))

@@ -120,7 +120,7 @@ def annotate(
 def film_source(
     path: Path, settings: Sequence[str], keys: Path | None, detections: Path | None, detect: Sequence[str] | None
 ) -> FilmOptions:
-    """Return the film that a path and options of a command are, with a detector that was fetched; see `find_source`."""
+    """Return the film that the options of a command describe, by default with a fetched detector; see `find_source`."""
     chosen = tuple(detect or ()) or (() if keys or detections else fetched_detectors()[:1])
     return find_source(FilmOptions, path, settings, keys=keys, detections=detections, detect=chosen)
 
@@ -139,7 +139,7 @@ def _row(found_shot: FoundShot, shot: AnnotatedShot, wanted: Sequence[int]) -> t
 
 
 def _cells(found_shot: FoundShot, shot: AnnotatedShot, wanted: Sequence[int], has_faces: bool) -> Iterator[Image]:
-    """Yield the cells of the sheet, each made small at once: whole images of all shots may be many."""
+    """Yield the cells of the sheet, each reduced at once, because the images of all shots may fill the memory."""
     for number, frame in shot_images(found_shot.parameters, found_shot.files):
         if number in wanted:
             drawn = draw_people(frame.image, shot.frames, number, has_faces=has_faces)

@@ -1,4 +1,4 @@
-"""The command line's commands under one name, and what an error becomes: one sentence and an exit code.
+"""The program `pasdedeux`: loads the command that is called, and turns an error into a sentence and an exit code.
 
 Most commands bring half of the science along, which the others need not wait for: each is imported when it is called.
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 
-# The class that typer's own usage errors share; typer carries its own click, so it cannot be imported by name.
+# The base class of typer's usage errors. typer bundles its own click, so it cannot be imported by name.
 _UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(Exception) - 1]
 
 
@@ -64,13 +64,13 @@ GROUPS: dict[str, dict[str, str]] = {
         "bench": "Measure kernels or whole commands against a plain implementation; needs a checkout.",
     },
 }
-"""What the help of each command begins with; `--help` lists them in these groups, without importing their modules."""
+"""First line of each command's help. `--help` lists the commands in these groups without importing their modules."""
 
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
 
 
 class Program(typer.core.TyperGroup):
-    """The program, in which the name and the summary of a command stand for it until it is called."""
+    """A group of commands that knows only their names and summaries until one is called."""
 
     def __init__(self, *, commands: dict[str, Any], **attributes: Any) -> None:
         known = {name: typer.core.TyperCommand(name, help=summary) for name, summary in COMMANDS.items()}
@@ -83,7 +83,7 @@ class Program(typer.core.TyperGroup):
                 formatter.write_dl(list(group.items()))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is called, by its name, in its module."""
+        """Import the module of the command that is called."""
         if args[0] in COMMANDS:
             importlib.import_module(f"flows.console.{args[0]}")
             self.commands = typer.main.get_group(app).commands
@@ -91,7 +91,7 @@ class Program(typer.core.TyperGroup):
 
 
 def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> int:
-    """Run one command; gives the exit code and never lets an error out as a traceback unless asked to (`--debug`)."""
+    """Run one command and return the exit code; a traceback is printed only with `--debug`."""
     context = Context(given_graph=graph)
     try:
         with ended_as_by_ctrl_c():
@@ -113,14 +113,14 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
             say(f"error: {_sentence(error)}".split("\n"), err=True)
         return exit_code_of(error)
     if code == _INTERRUPTED:
-        # Python warns of Prefect's calls that were cut off when it collects them, after this.
+        # Python warns later, when it collects calls of Prefect that were interrupted.
         warnings.filterwarnings("ignore", message="coroutine .* was never awaited", category=RuntimeWarning)
         echo("interrupted; the same command continues the work", err=True)
-    return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
+    return code if isinstance(code, int) else _DONE  # `typer.Exit` returns its code
 
 
 def exit_code_of(error: BaseException) -> int:
-    """Return 2 for what the user can put right in what was given, 1 for work that failed."""
+    """Return 2 for input that the user can correct, 1 for failed work."""
     from flows.planning import PlanError
     from flows.study_files import StudyError
     from pasdedeux.errors import InputError

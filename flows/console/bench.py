@@ -1,4 +1,4 @@
-"""`bench`: how fast this machine is; the benchmarks are in `benchmarks/` of a checkout."""
+"""`bench`: runs the benchmarks in `benchmarks/` of a checkout."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def bench(
     if not (_ROOT / "benchmarks" / "registry.py").is_file():
         raise PlanError("benchmarks are not installed: run this command in a checkout (`pip install --editable .`)")
     os.environ.update(worker_environment())
-    registry = importlib.import_module("benchmarks.registry")  # late and by name: nothing installed depends on it
+    registry = importlib.import_module("benchmarks.registry")  # imported by name, as it is not installed
     results = registry.run(stage, lambda text: echo(text, err=True))
     described = [{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results]
     answer(described, registry.table([result for _, result in results]), as_json=as_json)

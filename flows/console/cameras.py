@@ -1,4 +1,4 @@
-"""What `reconstruct` is given of the other cameras of a take: their 2D poses or films, and a calibration."""
+"""Inputs of `reconstruct`: videos of one or several cameras as 2D poses or film, and a calibration."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def find_video(
     detections: Path | None = None,
     detect: Sequence[str] | None = None,
 ) -> AnnotationOptions | FilmOptions:
-    """Return the film or the 2D poses that a path and options of the command are."""
+    """Return the film or the 2D poses that the options of the command describe."""
     if keys or detections or detect or (fetched_detectors() and is_film(path)):
         return film_source(path, settings, keys, detections, detect)
     return find_source(AnnotationOptions, path, settings)
@@ -46,7 +46,7 @@ def sources_of(video: AnnotationOptions | FilmOptions) -> Sequence[FoundAnnotati
 
 
 def camera_names(paths: Sequence[Path]) -> list[str]:
-    """Return what cameras are called: their files, with as many folders as tell them apart; a number if none do.
+    """Return the names of cameras: their files, with as many folders as make them unique, else with a number.
 
     >>> camera_names([Path("a/x/pose.json"), Path("b/x/pose.json")])
     ['a/x/pose', 'b/x/pose']
@@ -76,7 +76,7 @@ class OtherCamera:
 
 
 def find_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | None) -> FoundAnnotations:
-    """Find another camera of a take, which `read_camera` reads.
+    """Find the video of another camera of a take, for `read_camera`.
 
     Raises:
         InputError: It cannot be found, or is not one video.
@@ -87,7 +87,7 @@ def find_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | Non
 
 
 def read_camera(name: str, source: FoundAnnotations) -> OtherCamera:
-    """Return another camera of a take.
+    """Read the video of another camera of a take.
 
     Raises:
         InputError: It cannot be read, or is not one video.
@@ -113,7 +113,7 @@ def film_size_px(source: FoundAnnotations) -> tuple[int, int] | None:
 
 
 def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[list[Track], CameraMotion | None]:
-    """Return the tracks of a sequence in its steady image, and the motion of the camera if it was subtracted; say that.
+    """Return the tracks of a sequence in its steady image, and the camera motion if it was subtracted; print both.
 
     Raises:
         InputError: It is no video.
@@ -131,7 +131,7 @@ def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[l
 
 @dataclass(frozen=True)
 class Calibration:
-    """The cameras of a calibration file, in the order of the videos; none where no file is given."""
+    """The cameras of a calibration file in the order of the videos; none without a file."""
 
     path: Path | None
     names: Sequence[str]

@@ -1,4 +1,4 @@
-"""`check`: anybody's motions of two people, judged as takes and variants are, without a study or a store."""
+"""`check`: judges motions of two people from any source like takes and variants, without a study or a store."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from tasks.checking import (
 )
 
 _NUM_SHOWN = 10
-"""So many, the worst, are shown in players."""
+"""Number of motions in players, the worst first."""
 _NUM_NAMED, _MAX_ROWS = 20, 60
-"""So many are named first on the page, and are rows in a terminal."""
+"""Motions named at the top of the page, and rows in a terminal."""
 _FEW, _FEW_FILES = 8, 100
-"""Up to so many motions are checked, and files looked at, in this process, which starts at once."""
+"""Up to this many motions, or files, are handled in this process, which avoids starting others."""
 
 
 @app.command()
@@ -110,12 +110,12 @@ def check(
 
 
 Run = Callable[..., list[Any]]
-"""Calls a function with each row of arguments, and returns what it returns in their order."""
+"""Calls a function with each row of arguments, and returns its results in the same order."""
 
 
 @contextmanager
 def _pool(workers: int | None) -> Iterator[Run]:
-    """Give what runs work in processes, or here where it is little; a long one says how far it is."""
+    """Yield a function that runs work in processes and shows progress; small work runs in this process."""
     use_one_thread()
     context = get_context("forkserver")
     context.set_forkserver_preload(["tasks.checking"])
@@ -142,7 +142,7 @@ def _pool(workers: int | None) -> Iterator[Run]:
 def _find(
     paths: Sequence[Path], units_m: Sequence[float], rate_hz: float | None, run: Run
 ) -> tuple[list[tuple[MotionFiles, MotionFiles | None]], list[Checked]]:
-    """Return the motions of files and folders, clips of datasets with their sources, and what cannot be read."""
+    """Return the motions of files and folders, clips of datasets with their sources, and unreadable files."""
     clips = {path: clips_of(path) for path in paths}
     named_clips = [clip for of_folder in clips.values() for clip in of_folder]
     if all(clips.values()):
@@ -165,7 +165,7 @@ def _as_json(pair: Checked) -> dict[str, Any]:
 
 
 def _lines(checked: Sequence[Checked]) -> list[str]:
-    """Return the table for a terminal, the worst first, and how many there are of each level."""
+    """Return the table for a terminal, the worst first, and the number of motions at each level."""
     rows = [(one.level, one.name, *_cells(one, _TOUCH).values(), one.reason) for one in checked[:_MAX_ROWS]]
     lines = format_table(("verdict", "name", *_TOUCH, "why"), rows, text_columns=(0, 1, len(_TOUCH) + 2))
     if len(checked) > _MAX_ROWS:
@@ -180,7 +180,7 @@ def _counted(checked: Sequence[Checked]) -> str:
 
 
 def _cells(checked: Checked, columns: Mapping[str, Figure]) -> dict[str, str]:
-    """Return figures as text: of several people the greatest, or the one that is worst where less is."""
+    """Return figures as text; of several people the worst value."""
     cells = {}
     for heading, figure in columns.items():
         given = [checked.figures, checked.figures.get("against_source", {}), *checked.figures.get("people", ())]
@@ -224,7 +224,7 @@ def _table(
 
 
 def _columns(figures: Mapping[str, Figure], *, all_of_them: bool = False) -> dict[str, Figure]:
-    """Return figures by what their column is called; of those that are judged, but for the first place of a jump."""
+    """Return figures by their column headings, by default only those with limits."""
     return {one.words: one for name, one in figures.items() if all_of_them or one.limits is not None}
 
 

@@ -1,4 +1,4 @@
-"""`complete`: the unknown joints of a 3D pair, from draws."""
+"""`complete`: fills in the unknown joints of a 3D pair from draws."""
 
 from __future__ import annotations
 

@@ -34,14 +34,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-"""The program; a module of this package adds its commands when it is imported, which is when one is called."""
+"""The program. Modules of this package add their commands when they are imported, which is when one is called."""
 
 _BUSY_S = 2.0
-"""Work of more than so long says that it goes on."""
+"""Work that takes longer prints that it continues."""
 
 
 def key_option(model: type[BaseModel], key: str, *names: str, metavar: str | None = None) -> Any:
-    """Return an option for a key that a study has too, with the meaning and the limits that its model states."""
+    """Return an option for a key of a study, with the description and the limits of its model."""
     field = model.model_fields[key]
     bounds = {
         name: getattr(bound, name) for bound in field.metadata for name in ("ge", "gt", "le") if hasattr(bound, name)
@@ -66,14 +66,14 @@ class Context:
 
 
 def graph_of(context: typer.Context) -> Graph:
-    """Return the graph of all stages that a command is called with."""
+    """Return the graph of all stages of this call."""
     given = context.find_object(Context)
     assert given is not None
     return given.graph
 
 
 def open_store(folder: Path) -> Store:
-    """Return the store in a folder, or in a bucket as it is now, which need not be there yet.
+    """Return the store in a folder or bucket, which need not exist yet.
 
     Raises:
         NewerSchema, NotAStore: It cannot be one.
@@ -88,7 +88,7 @@ def open_store(folder: Path) -> Store:
 
 
 def existing_store(folder: Path) -> Store:
-    """Return the store in a folder, as `open_store` does.
+    """Return the store in a folder or bucket, which must exist.
 
     Raises:
         UnknownReference: There is none.
@@ -102,7 +102,7 @@ def existing_store(folder: Path) -> Store:
 
 
 def next_command(*words: str, store: Path, settings: Sequence[str] | None = None) -> str:
-    """Return a command that can be pasted: with the store and the settings that this one was given.
+    """Return a command to paste, with the store and the settings of this one.
 
     >>> next_command("run", "duets", store=Path("my store"), settings=["chains.num_chains=4"])
     "pasdedeux run duets --store 'my store' --set chains.num_chains=4"
@@ -113,7 +113,7 @@ def next_command(*words: str, store: Path, settings: Sequence[str] | None = None
 
 
 def wrapped(line: str, width: int) -> list[str]:
-    """Return a line in pieces of this width, broken at words; what runs over is indented by four more than it.
+    """Wrap a line at words to this width; continuation lines are indented by four more.
 
     >>> wrapped("  waltz: hands drift", 14)
     ['  waltz: hands', '      drift']
@@ -125,7 +125,7 @@ def wrapped(line: str, width: int) -> list[str]:
 
 
 def echo(text: str, *, err: bool = False) -> None:
-    """Print text on standard output, or standard error: every command does it here.
+    """Print text on standard output or standard error; all commands print through this function.
 
     Names, notes and credits that others wrote cannot drive the terminal: controls are written out.
     """
@@ -134,7 +134,7 @@ def echo(text: str, *, err: bool = False) -> None:
 
 @contextmanager
 def busy(words: str) -> Iterator[None]:
-    """Say on standard error what is being done, and for how long, after 2 s, 4 s, 8 s and so on."""
+    """Print on standard error what is being done, and for how long, after 2 s, 4 s, 8 s and so on."""
     ended, started = threading.Event(), time.monotonic()
 
     def tell() -> None:
@@ -153,16 +153,16 @@ def busy(words: str) -> Iterator[None]:
 
 
 def say(lines: Iterable[str], *, err: bool = False) -> None:
-    """Print lines on standard output, or standard error; a terminal gets them broken at words."""
+    """Print lines on standard output or standard error, wrapped at words for a terminal."""
     stream: Any = sys.stderr if err else sys.stdout
-    stream = getattr(stream, "rich_proxied_file", stream)  # of a progress display: a terminal, but does not say so
+    stream = getattr(stream, "rich_proxied_file", stream)  # a progress display wraps the terminal and hides it
     width = shutil.get_terminal_size().columns if stream.isatty() else None
     for line in lines:
         echo(line if width is None else "\n".join(wrapped(line, width)), err=err)
 
 
 def answer(value: Any, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print a value as JSON, or the same as lines for people."""
+    """Print a result as JSON or as lines of text."""
     if as_json:
         echo(json.dumps(value, indent=1, ensure_ascii=False))
     else:

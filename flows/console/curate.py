@@ -1,4 +1,4 @@
-"""`curate`: accept or reject the items of a reference, in the file of choices that a study and `view` share."""
+"""`curate`: accepts or rejects items in the file of choices, which studies and `view` read too."""
 
 from __future__ import annotations
 

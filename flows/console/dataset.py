@@ -1,4 +1,4 @@
-"""`dataset`: immutable names for built artifacts, and their transfer."""
+"""`dataset`: names built artifacts as immutable versions, and transfers them."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def _say_moved(dataset: Dataset, num_new: int, words: str, *, as_json: bool) -> 
 
 
 def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:
-    """Return the artifacts of a study's last run, and what goes with them: the study, the machine, the dataset card."""
+    """Return the artifacts of a study's last run, with the files study, environment and dataset card."""
     last = read_last_run(store, study)
     if last is None:
         raise PlanError(f"study '{study}' was not built in the store {store} yet; run it first")

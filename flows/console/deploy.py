@@ -1,4 +1,4 @@
-"""`deploy`: a study as a scheduled build on Prefect's server."""
+"""`deploy`: creates a scheduled build of a study on Prefect's server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`diff`: two runs or two versions of datasets side by side."""
+"""`diff`: compares two runs or two versions of datasets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees: progress while a run works, and plans and results as short tables."""
+"""Output for people: progress of a run, and plans and results as short tables."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from tasks.stage import Shard
 from tasks.summary import summary_of
 
 _SILENCE_S = 5.0
-"""Silence after which a progress line is printed, where there is no terminal for a bar."""
+"""Without a terminal, a progress line is printed after this silence."""
 _LONGEST_SILENCE_S = 60.0
-"""The same where the line says nothing new: pauses double up to here."""
+"""Longest pause before an unchanged line is repeated; pauses double up to it."""
 _LOOK_UP_S = 0.5
 _NAMED = 3
-"""Shards in work that are named."""
+"""Running shards that are named."""
 
 
 def make_listener(*, is_quiet: bool = False) -> Listener:
-    """Return bars at a terminal, lines elsewhere, nothing when asked to be quiet; all on standard error."""
+    """Return a listener on standard error: bars at a terminal, else lines; when quiet, one that prints nothing."""
     if is_quiet:
         return Listener()
     return BarListener() if sys.stderr.isatty() else LineListener()
 
 
 class LineListener(Listener):
-    """Prints one fact a line, and progress after five seconds of silence; the same line less and less often."""
+    """Prints one fact a line, and progress after five seconds of silence; an unchanged line less and less often."""
 
     def __init__(self) -> None:
         self._started = self._last_line = time.monotonic()
@@ -59,7 +59,7 @@ class LineListener(Listener):
             self._say(f"{plan.stage.name}: {len(plan.todo)} of {counted(len(plan.shards), 'shard')} to compute")
 
     def progressed(self, progress: Progress) -> None:
-        """Keep how far the run is."""
+        """Keep the progress, for the next line."""
         self._doing = progress_text(progress)
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
@@ -86,7 +86,7 @@ class LineListener(Listener):
 
 
 class BarListener(LineListener):
-    """Prints the same above a bar and the shards in work, at a terminal."""
+    """Prints the same lines at a terminal, above a bar and the running shards."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -106,12 +106,12 @@ class BarListener(LineListener):
         self._progress = progress
 
     def close(self) -> None:
-        """Give the terminal back."""
+        """Release the terminal."""
         super().close()
         self._live.stop()
 
     def _drawn(self) -> Any:
-        """Draw the bar with counts and times, then a row for each shard in work; names give way to all else."""
+        """Draw the bar with counts and times, then a row for each running shard; names are cut first."""
         from rich.console import Group
         from rich.progress_bar import ProgressBar
         from rich.table import Table
@@ -136,7 +136,7 @@ class BarListener(LineListener):
         return Group(bar, rows)
 
     def _break_silence(self) -> None:
-        """Leave it to the bar."""
+        """Do nothing: the bar shows progress."""
 
     def _say(self, text: str) -> None:
         for line in wrapped(text, self._console.width):
@@ -144,7 +144,7 @@ class BarListener(LineListener):
 
 
 class Steps:
-    """Tells a listener of the steps of one piece of work, and the time left where all take as long; call it for each.
+    """Reports the steps of a piece of work to a listener, with the time left if all take the same; call it for each.
 
     Args:
         listener: Who is told.
@@ -162,7 +162,7 @@ class Steps:
 
 
 def plan_lines(plan: Plan) -> list[str]:
-    """Return a plan as lines: a stage a line, then its partitions that need work, with the reason."""
+    """Return a plan as lines: each stage, then its partitions that need work, with the reason."""
     lines: list[str] = []
     for stage in plan.stages:
         lines.append(f"{stage.stage.name:<16}{_stage_words(stage)}")
@@ -204,14 +204,14 @@ def outcome_lines(outcome: Outcome) -> list[str]:
 
 
 def headlines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[str]:
-    """Return what the last run of a study built and what of it is good, as the report and the card begin."""
+    """Return what the last run of a study built and how much is good, as at the top of the report and the card."""
     last = read_last_run(store, study)
     by_stage = {} if last is None else last_manifests(store, last, seen)
     return summary_of([one for manifests in by_stage.values() for one in manifests]).headlines() if by_stage else []
 
 
 def manifest_lines(stages: Mapping[str, Sequence[Manifest]]) -> list[str]:
-    """Return the same of artifacts by stage; none where there are none."""
+    """Return the verdicts on artifacts by stage as lines."""
     return summary_of([manifest for manifests in stages.values() for manifest in manifests]).lines() if stages else []
 
 
@@ -235,20 +235,20 @@ def _running_text(progress: Progress) -> str:
 
 
 def _part_text(progress: Progress, shard: Shard) -> str:
-    """Return how far the partition of a shard is, where it has several: `3 of 9`."""
+    """Return the progress of a shard's partition, if it has several shards: `3 of 9`."""
     done, total = progress.partitions.get((shard.stage, shard.partition), (0, 1))
     return f"{done} of {total}" if total > 1 else ""
 
 
 def left_text(progress: Progress) -> str:
-    """Return the remaining time in words; empty where it is unknown, or less than a second."""
+    """Return the remaining time in words; empty if it is unknown or less than a second."""
     if progress.left_s < 1.0:
         return ""
     return f"{'about' if progress.is_all else 'more than'} {duration_text(progress.left_s)} left"
 
 
 def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
-    """Return the cost of a build as a short table, with the measurements behind it."""
+    """Return the cost of a build as a short table, and the measurements that it is based on."""
     gigabytes = "" if work.worker_bytes is None else f"{work.worker_bytes / GIB:.1f}"
     rows = [
         (
@@ -287,7 +287,7 @@ def duration_text(seconds: float) -> str:
 def format_table(
     header: Sequence[str], rows: Iterable[Sequence[object]], *, text_columns: Collection[int] = (0,)
 ) -> list[str]:
-    """Return rows as aligned lines under a header; columns of text to the left, the others (numbers) to the right."""
+    """Return rows as aligned lines under a header: text columns to the left, numbers to the right."""
     cells = [
         tuple(f"{cell:.1f}" if isinstance(cell, float) else visible(str(cell), is_line=True) for cell in row)
         for row in (header, *rows)

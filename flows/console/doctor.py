@@ -1,4 +1,4 @@
-"""`doctor`: whether a run has all it needs on this machine."""
+"""`doctor`: checks that this machine has everything that a run needs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MIN_DISK_BYTES = GIB
 
 
 class _BadError(Exception):
-    """A check failed; the message is what was found."""
+    """A check failed; the message says what was found."""
 
 
 @app.command()
@@ -72,7 +72,7 @@ def _check_store(store: Path) -> str:
 
 
 def _check_kernel_cache() -> str:
-    """Say where compiled kernels are kept."""
+    """Return where compiled kernels are kept."""
     folder, why_not = kernel_cache()
     return _at_least(not why_not, why_not or f"kept in {folder}")
 

@@ -1,4 +1,4 @@
-"""`export`: the rows of a reference as files of other formats."""
+"""`export`: writes the rows of a reference to files of other formats."""
 
 from __future__ import annotations
 

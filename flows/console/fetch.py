@@ -1,4 +1,4 @@
-"""`fetch`: brings motion capture from the sites that give it freely, checked, file by file."""
+"""`fetch`: downloads free motion capture and networks of detectors, and checks each file."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ CMU_BASE_URL = "http://mocap.cs.cmu.edu"
 _MAX_FILE_BYTES = 200_000_000
 _MAX_NETWORK_BYTES = 2_000_000_000
 _MB_PER_TAKE = 1.0
-"""Of an AMC file of CMU: 1.3 in the mean over nine of them, less where people walk a few steps."""
+"""Size of an AMC file of CMU: 1.3 in the mean over nine files, less for a few steps of walking."""
 _MB_PER_S = 1.0
-"""Assumed of a network."""
+"""Assumed speed of the network."""
 _BUILD_S_PER_MB, _BUILT_MB_PER_MB = 1.0, 0.6
-"""Seconds on one core, and size in the store: 0.3 and 0.56 for people alone, more for partners."""
+"""Time on one core and size in the store: 0.3 and 0.56 for one person, more for two."""
 
 _group = typer.Typer(help="Download freely available motion capture, and networks of detectors.", no_args_is_help=True)
 app.add_typer(_group, name="fetch")
@@ -48,7 +48,7 @@ app.add_typer(_group, name="fetch")
 
 @dataclass(frozen=True)
 class Fetched:
-    """One file: its path, its size, and whether it had to be brought or was there already."""
+    """A file with its size, and whether it was there before the download."""
 
     path: Path
     num_bytes: int
@@ -138,7 +138,7 @@ def detector(
 
 
 def fetch_network(network: NetworkAddress) -> None:
-    """Bring the file of a network to its place.
+    """Download the file of a network to its place in the cache.
 
     Raises:
         FetchError: It does not come, or another file does.
@@ -157,7 +157,7 @@ def fetch_network(network: NetworkAddress) -> None:
 
 
 def _told(items: Iterable[Fetched]) -> Iterator[Fetched]:
-    """Give files on, and a line about each as it comes."""
+    """Yield files, and print a line for each."""
     for item in items:
         state = "was there" if item.was_there else "fetched"
         echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
@@ -167,7 +167,7 @@ def _told(items: Iterable[Fetched]) -> Iterator[Fetched]:
 def fetch_cmu(
     wanted: Mapping[str, Sequence[str] | None], out: Path, *, base_url: str = CMU_BASE_URL
 ) -> Iterator[Fetched]:
-    """Bring skeleton and takes of each subject into a folder, file by file.
+    """Download skeleton and takes of each subject into a folder, one file at a time.
 
     A file that is there, can be read and is as it came is left alone; one that comes is written only when it is whole
     and was parsed.
@@ -197,7 +197,7 @@ def fetch_cmu(
 
 
 def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
-    """Return the takes of each subject that a study names in `ingest.pairs`, as CMU numbers them.
+    """Return the takes that a study names in `ingest.pairs`, by CMU's numbers of subjects.
 
     Raises:
         StudyError: There is no such study.
@@ -213,7 +213,7 @@ def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
 
 
 def _families(study: str) -> dict[str, dict[str, Any]]:
-    """Return the families of `ingest.pairs` of which a study names subjects with numbers, and takes."""
+    """Return the families of a study's `ingest.pairs` that have takes and numbered subjects."""
     families = read_study_tree(study, Path.cwd()).values.get("ingest", {}).get("pairs", {})
     return {
         name: family
@@ -226,7 +226,7 @@ _CREDIT = f"{CMU_CREDIT.credit}\n{CMU_CREDIT.licence}.\n"
 
 
 def _numbers(text: str, what: str) -> list[str]:
-    """Return the numbers of a list such as 1,60,61 as the site writes them: with at least two digits."""
+    """Return the numbers of a list such as 1,60,61 as the site writes them, with at least two digits."""
     numbers = [item.strip() for item in text.split(",") if item.strip()]
     for number in numbers:
         if not re.fullmatch(r"\d{1,3}", number):
@@ -252,7 +252,7 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
     fault = _fault(data, skeleton)
     if fault is not None:
         raise FetchError(f"{url} did not send a motion file: {fault}")
-    coming = path.with_name(f"{path.name}.part")  # an AMC file cut off between two frames is a good one
+    coming = path.with_name(f"{path.name}.part")  # an AMC file that is cut between two frames looks complete
     try:
         coming.write_bytes(data)
         note_fetched(path, data)
@@ -260,13 +260,13 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None) -> Fetched:
     except OSError as error:
         raise FetchError(f"{path} cannot be written: {error.strerror}") from None
     finally:
-        with suppress(OSError):  # a folder that cannot be written to holds none
+        with suppress(OSError):  # there is none in a folder that cannot be written
             coming.unlink()
     return Fetched(path=path, num_bytes=len(data), was_there=False)
 
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
-    """Describe the fault of a file; empty if it can be read."""
+    """Return why a file cannot be read; None if it can."""
     try:
         if skeleton is None:
             read_asf(data)

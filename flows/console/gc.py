@@ -1,4 +1,4 @@
-"""`gc`: what nothing in a store needs."""
+"""`gc`: removes artifacts of a store that nothing needs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def gc(
 
 
 def _by_stage(collection: Collection) -> dict[str, tuple[int, int, int, int]]:
-    """Return number and bytes of what stays and of what goes: by stage, of runs' folders, of unpacked clips, of all."""
+    """Return number and bytes kept and removed: by stage, for folders of runs, for unpacked clips, and in all."""
     counts: Counter[tuple[str, int]] = Counter()
     kept, going = collection.artifacts.kept, collection.artifacts.going
     for at, stored, runs, clips in (

@@ -1,4 +1,4 @@
-"""`generate`: new bodies and their motion from a trained model, for a take of a store or of motion files."""
+"""`generate`: samples new bodies and their motion from a trained model, for a take of a store or of files."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _generate(
                 files = RigFiles(out, rest_pose="source", units="cm")
             files.write_variant(variant_id, people, variant.positions_m, variant.bone_scale)
             num_usable += 1
-    finally:  # also where it is interrupted: what lies there has its units beside it
+    finally:  # also after an interruption: the files written so far need their units
         written = () if files is None else files.close()
     if files is None:
         echo(f"error: none of {num} motions is usable, nothing was written", err=True)

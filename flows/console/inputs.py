@@ -1,4 +1,4 @@
-"""What commands are given: takes, trained models, 2D poses and film, statures, projections; from a store or files."""
+"""Inputs of commands, from a store or files: takes, trained models, 2D poses, film, statures, projections."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _HOW_TO_GET_ONE = (
     "yours makes the best one: name it with --database projections:STUDY"
 )
 _FEW_POSES = 2000
-"""40 s of two people; the built-in duets are 1,440 poses, the database of Yiannakides et al. (2019) 7,200."""
+"""40 s of two people. The built-in duets have 1,440 poses, the database of Yiannakides et al. (2019) 7,200."""
 
 TakeArgument = Annotated[
     list[str], Argument(metavar="TAKE", help="STUDY/TAKE, a study file, or a motion file for each person.")
@@ -53,7 +53,7 @@ RateOption = Annotated[float | None, key_option(PersonOptions, "rate_hz", "--rat
 def find_take(
     take: Sequence[str], store_root: Path, units_m: Sequence[float], rate_hz: float | None
 ) -> Iterator[tuple[Store, ArtifactRef]]:
-    """Find the one take that a reference names, or read motion files into a store that is gone afterwards.
+    """Find the take that a reference names, or read motion files into a temporary store.
 
     Raises:
         InputError: It is not there, not one, or its files cannot be read.
@@ -81,7 +81,7 @@ def find_take(
 def _take_of_files(
     files: Sequence[str], units_m: Sequence[float], rate_hz: float | None
 ) -> Iterator[tuple[Store, ArtifactRef]]:
-    """Read motion files as a study would, at their own rate, into a store that is gone afterwards."""
+    """Read motion files as a study would, at their own rate, into a temporary store."""
     if len(units_m) > len(files):
         raise InputError(f"--unit is given {counted(len(units_m), 'time')} for {counted(len(files), 'file')}")
     last = len(units_m) - 1
@@ -104,14 +104,14 @@ def _take_of_files(
 
 
 def in_options(said: str) -> str:
-    """Return what is said of a study's keys in the words of a command that has options for them."""
+    """Replace keys of a study in a message by the options of a command."""
     for key, option in (("metres_per_unit", "--unit"), ("rate_hz", "--rate")):
         said = said.replace(f"set {key} for this take", f"say {option}").replace(f"set {key}", f"say {option}")
     return said
 
 
 def _section_of_study(path: str) -> IngestParameters:
-    """Return the first take of a study's files, with all that the study says of it.
+    """Return the first take of a study, with its mappings and its limits for captures.
 
     Raises:
         InputError: It has no [[ingest.takes]], or is no study.
@@ -125,7 +125,7 @@ def _section_of_study(path: str) -> IngestParameters:
 
 @contextmanager
 def _read_section(section: IngestParameters) -> Iterator[tuple[Store, ArtifactRef]]:
-    """Read the only take of a section at the least of the rates of its files."""
+    """Read the only take of a section, at the lowest rate of its files."""
     planned = STAGE.plan(StageInputs(manifests={}, seed=0), section)[0].parameters
     assert isinstance(planned, TakeParameters)
     own_hz = min(person.rate_hz for person in planned.persons)
@@ -136,7 +136,7 @@ def _read_section(section: IngestParameters) -> Iterator[tuple[Store, ArtifactRe
 
 
 def find_model(text: str, store_root: Path) -> Weights:
-    """Read a trained model from a file, or from the store: the only one of this name, or that of one split."""
+    """Read a trained model from a file, or the one of this name (and split) from the store."""
     path = Path(text)
     if path.suffix == ".safetensors":
         return read_weights(load_file(path).data, path.name)
@@ -159,7 +159,7 @@ def find_model(text: str, store_root: Path) -> Weights:
 
 
 def known_take(weights: Weights, ref: ArtifactRef, take_id: str) -> tuple[str, str]:
-    """Return the name under which a model is asked for a take, and in words whether it was trained on it.
+    """Return the name of a take for a model, and a sentence on whether the model was trained on it.
 
     A take of the same name may be another one, so only the same content has the name that the model knows.
     """
@@ -169,7 +169,7 @@ def known_take(weights: Weights, ref: ArtifactRef, take_id: str) -> tuple[str, s
 
 
 def find_source(model: type[Source], path: Path, settings: Sequence[str], **given: object) -> Source:
-    """Return the 2D poses or the film that a path, KEY=VALUE and options of a command are, as a study would name them.
+    """Return 2D poses or film as a study would state them, from a path, KEY=VALUE and options of a command.
 
     Raises:
         InputError: There is no such key, its value is not allowed, or of a film not one of keys, detections and
@@ -185,7 +185,7 @@ def find_source(model: type[Source], path: Path, settings: Sequence[str], **give
 
 
 def read_statures(texts: Sequence[str], person_ids: Iterable[int]) -> dict[int, float]:
-    """Return the statures by person that options say: PERSON=METRES, or METRES for everybody else."""
+    """Return statures by person from options: PERSON=METRES, or METRES for everybody else."""
     statures: dict[int, float] = {}
     for text in sorted(texts, key=lambda text: "=" in text):
         match = re.fullmatch(r"(?:(\d{1,9})=)?(\d(?:\.\d+)?)", text)
@@ -208,7 +208,7 @@ def find_database(text: str | None, store_folder: Path, *, with_pairs: bool) -> 
 
 
 def _find_projections(text: str | None, store_folder: Path) -> tuple[Store, list[ArtifactRef]]:
-    """Return a store and the artifacts that a reference names, or those of the only study that has projections."""
+    """Return a store and its projections: those that a reference names, or those of the only study that has some."""
     store = open_store(store_folder)
     if text is not None:
         refs = resolve(text, store)
@@ -237,7 +237,7 @@ def _is_part(store: Store, ref: ArtifactRef) -> bool:
 
 
 def _small_database_words(num_poses: int, num_takes: int) -> str:
-    """Say that a database of so few poses serves little else than its own motion; nothing of a larger one."""
+    """Return a warning for a database that is too small for other motion than its own; empty for a larger one."""
     if num_poses >= _FEW_POSES:
         return ""
     return (

@@ -1,4 +1,4 @@
-"""Live poses: a folder of OpenPose files read while they are written, lines of JSON, and how long they took."""
+"""Live poses: reads a folder of OpenPose files while they are written, and writes lines of JSON with delays."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def follow_video(
     idle_s: float,
     options: LiveOptions,
 ) -> None:
-    """Write a line per person and frame, to a file or standard output, while a folder's files are being written.
+    """Write a line for each person and frame to a file or standard output, while a folder's files are written.
 
     Raises:
         InputError: No folder, no projections, a stature of another form, or keypoints that are not people.
@@ -95,7 +95,7 @@ def follow_video(
         options=options,
     )
     echo(f"following {video.path}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
-    # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
+    # One thread: fits of a few frames are too small for several threads of linear algebra.
     with ExitStack() as stack:
         lines = None
         if out is not None:
@@ -110,7 +110,7 @@ def follow_video(
 
 
 def list_frames(folder: Path) -> list[tuple[int, Path]]:
-    """Return the files of a folder that have a frame number, by it; several of one number are taken by name."""
+    """Return the numbered files of a folder, in order; of several with one number the first by name."""
     return _new_frames(folder, set(), -1)
 
 
@@ -122,7 +122,7 @@ def follow_folder(
     sleep: Callable[[float], object] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[FollowedFile]:
-    """Return frames as their files become whole; ends with a file `STOP` or when nothing new came for `idle_s`.
+    """Yield frames as their files become complete; end at a file `STOP`, or after `idle_s` without a new file.
 
     A file that is not whole yet (it cannot be read as OpenPose) holds up those after it until a later file is there
     that is whole: the writer is past it then, and it is given without people.  Files that come late, with a number
@@ -157,7 +157,7 @@ def follow_folder(
 
 
 def _new_frames(folder: Path, old: set[str], last: int) -> list[tuple[int, Path]]:
-    """Do `list_frames` for frames after the last one given; names of others are remembered in `old`.
+    """Return the numbered files after the last frame; names of all other files are added to `old`.
 
     A night's folder has hundreds of thousands of files: names that were looked at are not looked at again.
     """
@@ -182,16 +182,16 @@ def _read(number: int, path: Path) -> FollowedFile:
 
 
 _DECIMALS = 7
-"""Digits of metres and of rotations: bones do not change by more than 1e-6 m because of them."""
+"""Decimals of metres and rotations; rounding changes bones by less than 1e-6 m."""
 
 _CHECKED_ROWS = 30
-"""Detections after which a live video's keypoints are checked for looking like people."""
+"""After this many detections, the keypoints of a live video are checked for human proportions."""
 
 
 def follow_lines(
     people: LivePeople, files: Iterator[FollowedFile], out: TextIO | None, *, rate_hz: float, began: float | None = None
 ) -> None:
-    """Write the poses of frames as they come, then say how long they took.
+    """Write the poses of frames as they come, then print their delays.
 
     Args:
         people: The live chain.
@@ -233,7 +233,7 @@ def follow_lines(
 
 
 class _Times:
-    """What each frame and pose took.
+    """Working times of frames, and delays of poses.
 
     Args:
         began: When following began, seconds since 1970: files that lay there before wait from then on.
@@ -247,23 +247,23 @@ class _Times:
         self._started = 0.0
 
     def start(self, file: FollowedFile) -> None:
-        """Take a file whose frame is worked on now."""
+        """Note that work on the frame of a file begins."""
         self._arrived[file.number] = max(file.path.stat().st_mtime, self._began)
         if len(self._arrived) > 4000:
             self._arrived = dict(list(self._arrived.items())[-2000:])
         self._started = time.perf_counter()
 
     def worked(self) -> None:
-        """Note that the frame's poses are there."""
+        """Note that work on the frame has ended."""
         self._work_s.append(time.perf_counter() - self._started)
 
     def delay_s(self, pose: LivePose) -> float:
-        """Return how long ago the file of a pose's own image was written."""
+        """Return the time since the file of a pose's image was written."""
         self._delays_s.append(time.time() - self._arrived.get(pose.frame, self._began))
         return self._delays_s[-1]
 
     def in_words(self) -> str:
-        """Say all of it."""
+        """Return all of it in words."""
         if not self._delays_s:
             return f"{counted(len(self._work_s), 'frame')}, nobody to be seen"
         work, delay = _spread_ms(self._work_s), _spread_ms(self._delays_s)
@@ -276,7 +276,7 @@ def _spread_ms(seconds: list[float]) -> str:
 
 
 class _Lines:
-    """Lines of JSON: first a header, then one for each pose."""
+    """Writes lines of JSON: a header, then one for each pose."""
 
     def __init__(self, people: LivePeople, out: TextIO | None, *, rate_hz: float) -> None:
         self._upright = people.camera_from_upright_rotmat

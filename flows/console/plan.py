@@ -1,4 +1,4 @@
-"""`plan`: the steps of a build, their reasons, and its duration."""
+"""`plan`: lists the steps of a build with their reasons, and estimates its duration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`reconstruct`: 3D motion of people from 2D poses or film, at once or while files are being written."""
+"""`reconstruct`: makes 3D motion of people from 2D poses or film, also while files are written."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def reconstruct(
         options = LiveOptions(lag=lag, has_clean_up=clean_up)
         follow_video(video, database, store, out, pitch_deg=pitch, statures=stature or (), idle_s=idle, options=options)
         return
-    # What costs little is checked before any film is read: a detector may need minutes for it.
+    # Quick checks come before any film is read, which may take a detector minutes.
     names = camera_names([path, *(camera or ())])
     calibrated = find_calibration(calibration, names)
     found_others = [find_camera(other, settings or (), detect) for other in camera or ()]

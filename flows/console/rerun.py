@@ -1,4 +1,4 @@
-"""`rerun`: a run or dataset on record, built again elsewhere and compared."""
+"""`rerun`: builds a recorded run or dataset again elsewhere and compares."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def rerun(
 def _rerun_folder(
     context: typer.Context, folder: Path, target: Store, cluster: ClusterSettings, *, as_json: bool
 ) -> None:
-    """Build a dataset's folder again by its record alone, in a store that has the dataset then."""
+    """Build a dataset's folder again from its record; the store has the dataset afterwards."""
     old = read_recorded_folder(folder)
     study, graph = study_from_record(old.sections, old.stages, graph_of(context))
     _refuse_changed_files(old, study, graph, target)

@@ -1,4 +1,4 @@
-"""`restart`: new chains that start at a draw."""
+"""`restart`: starts new chains from a draw."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def restart(
     tree[HEAD] = {key: value for key, value in tree[HEAD].items() if value is not None} | {"name": name, "title": title}
     tree["seeds"] |= {**_NO_OTHER_SEEDS, "files": [{"path": str(path.resolve())}]}
     sweeps = tree["chains"].pop("sweep", {})
-    if chosen.density in sweeps:  # kept under the name of a sweep, which samples the first of its densities
+    if chosen.density in sweeps:  # named by a sweep, which samples the first of its densities
         tree["chains"] = merged(tree["chains"], sweeps[chosen.density])
         tree["chains"]["densities"] = tree["chains"]["densities"][:1]
     else:
@@ -94,7 +94,7 @@ def restart(
 
 
 def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
-    """Return the study that a draw is from, with its settings as they were."""
+    """Return the study that a draw comes from, with its recorded settings."""
     for last in last_runs(store):
         if chosen.ref in last.refs("chains") and (sections := last_sections(store, last)):
             return last.study, sections

@@ -1,4 +1,4 @@
-"""`retarget`: a take for the bodies of other people, from a store or straight from motion files."""
+"""`retarget`: moves a take of a store or of motion files to other bodies."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from tasks.judgements import verdict_of
 from tasks.takes import read_take
 
 _MISFIT_M = 0.05
-"""A body that is missed by more than this, in any distance, is warned of."""
+"""A larger misfit in any distance of a body is a warning."""
 KEPT = "source"
-"""Stands for a body that stays as captured."""
+"""Names the captured body, which stays."""
 
 
 @app.command()
@@ -96,7 +96,7 @@ def retarget(
 
 
 def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
-    """Read a body from whatever kind of file it is; `units_m` are metres per unit of BVH files, each used once."""
+    """Read a body from a file of any kind; `units_m` are metres per unit of BVH files, each used once."""
     loaded = load_file(path)
     data, start = loaded.data, FileStart(loaded.data)
     try:
@@ -131,7 +131,7 @@ def _retarget_take(
     units: Units,
     weights: Weights | None,
 ) -> None:
-    """Solve a take for bodies, or ask a trained model; write its files and report the result.
+    """Retarget a take by the solver or a trained model, write its files, and report the result.
 
     Raises:
         InputError: There are more bodies than people, a body cannot be anybody's, or the model is of pairs and the take

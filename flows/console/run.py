@@ -47,11 +47,11 @@ PREVIEW_S = 4.0
 
 
 PREVIEWED = "augmentation"
-"""A preview of takes ends there unless the command says otherwise; one of 2D poses alone goes on."""
+"""Last stage of a preview of takes, unless the command names another; a preview of 2D poses alone goes on."""
 
 
 _IMPORTED_BY_FLOWS = ("prefect.flow_engine", "prefect.task_engine", "prefect.utilities.visualization", "fastapi")
-"""What Prefect imports when the first flow begins, and all else waits for it."""
+"""Modules that Prefect imports late, at the first flow, while everything else waits."""
 
 
 @app.command()
@@ -111,28 +111,28 @@ def run(
 
 
 def _most_contact(sections: Mapping[str, Parameters]) -> dict[str, Parameters]:
-    """Return the sections of a study with takes of files cut to the seconds of most contact."""
+    """Return the sections of a study, with takes of files cut to the seconds with most contact."""
     ingest = sections.get("ingest")
     if not isinstance(ingest, IngestParameters) or not ingest.takes:
         return dict(sections)
-    from tasks.ingest.previewing import with_most_contact  # compiles, which others need not wait for
+    from tasks.ingest.previewing import with_most_contact  # here, because it compiles
 
     with busy("looking for the seconds with most contact"):
         return {**sections, "ingest": with_most_contact(ingest, PREVIEW_S)}
 
 
 def _has_takes(study: Study) -> bool:
-    """Tell whether takes come in, of which there are variants."""
+    """Return whether the study has takes."""
     ingest = study.parameters["ingest"]
     return isinstance(ingest, IngestParameters) and bool(ingest.take_ids())
 
 
 def with_page(study: Study, graph: Graph, store: Store, selection: StageSelection) -> Graph:
-    """Return the graph for a selection: with `until`, of what that needs and the page on it, unless all is fresh."""
+    """Return the graph of a selection: for `until`, only its needs and the report on it, unless everything is fresh."""
     if selection.until is None or selection.until not in graph.names:
         return graph
     if not selection.force:
-        # A later stage that cannot be planned, such as training of too few sizes, must not stop the wanted one.
+        # A later stage that cannot be planned, such as training on too few sizes, must not stop the selected one.
         with suppress(InputError):
             if make_plan(study, graph, store).is_fresh:
                 return graph
@@ -162,7 +162,7 @@ def build_and_report(
 
 
 def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, published: Published | None) -> Iterator[str]:
-    """Return the outcome of a run, the current products, and the place of the report."""
+    """Yield the outcome of a run, the current products, and the path of the report."""
     yield from (*outcome_lines(outcome), *(f"warning: {words}" for words in made.warnings))
     if made.is_fresh:
         yield f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)"
@@ -182,19 +182,19 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
 
 
 def build(run: Run, cluster: ClusterSettings, *, is_quiet: bool) -> tuple[Outcome, Plan]:
-    """Bring a study up to date; gives what was done and the plan.  Nothing is removed from the store meanwhile."""
+    """Bring a study up to date, and return what was done and the plan. Nothing is removed from the store meanwhile."""
     with in_use(run.store):
         made = make_plan(run.study, run.graph, run.store, run.selection)
         if made.is_fresh:
             return outcome_of_fresh(run, made), made
         _refuse_full_disk(run.store)
         run.store.prepare()
-        with in_use(run.store):  # a store that is new was not there to be locked before
+        with in_use(run.store):  # again, because a new store could not be locked before
             return _build(run, made, cluster, is_quiet=is_quiet), made
 
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:
-    """Run what is not fresh: Prefect's server and the workers start while Prefect is loaded, and only here."""
+    """Run everything that is not fresh; Prefect's server and the workers start while Prefect is imported."""
     listener = make_listener(is_quiet=is_quiet)
     run = replace(run, listener=listener)
     if why_not := kernel_cache()[1]:
@@ -220,7 +220,7 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
 
 
 def _load_prefect() -> ModuleType:
-    """Import what needs Prefect, in a thread that leaves signals that end the run to the main one."""
+    """Import modules that need Prefect, in a thread that leaves signals to the main thread."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
     module = import_module("flows.dataset")
     for name in _IMPORTED_BY_FLOWS:
@@ -229,7 +229,7 @@ def _load_prefect() -> ModuleType:
 
 
 def _refuse_full_disk(store: Store) -> None:
-    """Refuse a disk that is full or cannot be written."""
+    """Refuse a disk that is full or read-only."""
     folder = nearest_folder(store.root)
     try:
         with tempfile.TemporaryFile(dir=folder):

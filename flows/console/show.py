@@ -1,4 +1,4 @@
-"""`show`: columns, rows and lineage of a reference."""
+"""`show`: prints columns, rows and lineage of a reference."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SCORES = "scores"
 
 
 _ROWS, _SCORE_ROWS, _ROWS_OF_MANY, _MAX_STEPS = 5, 12, 3, 12
-"""Rows of a table, of scores of one topic, of one of several; artifacts that it comes from: so many are printed."""
+"""Default numbers of rows of a table, of one topic of scores, of each of several topics; of ancestors shown."""
 
 
 @app.command()
@@ -74,7 +74,7 @@ def show(
 
 
 def _row_lines(described: Mapping[str, Any], store: Store, reference: str) -> Iterator[str]:
-    """Return columns, rows and where they come from."""
+    """Yield columns, rows and lineage."""
     cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
     yield from format_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:
@@ -173,7 +173,7 @@ def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:
 
 
 def _short(value: Any) -> Any:
-    """Return a value a person can look at: a long array as its shape."""
+    """Return a value for display: a long array as its shape."""
     if hasattr(value, "shape") and value.shape:
         return f"array{list(value.shape)}" if value.size > 4 else [round(float(x), 4) for x in value.ravel()]
     if hasattr(value, "item"):

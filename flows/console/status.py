@@ -1,4 +1,4 @@
-"""`status`: the contents of a store."""
+"""`status`: prints the contents of a store."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from storage_schema.references import what_is_wrong
 from tasks.summary import stage_verdict
 
 StudyManifests = list[tuple[LatestRun, dict[str, list[Manifest]]]]
-"""The last run of each study, with the artifacts of it that are still there, by stage."""
+"""The last run of each study, with its remaining artifacts by stage."""
 
 
 @app.command()
@@ -30,7 +30,7 @@ def status(store: options.Store = Path("store"), as_json: options.Json = False) 
 
 
 def read_studies(store: Store) -> StudyManifests:
-    """Return the last run of each study of a store and its artifacts."""
+    """Read the last run of each study of a store, and the manifests of its remaining artifacts."""
     return [(last, last_manifests(store, last)) for last in last_runs(store)]
 
 
@@ -72,7 +72,7 @@ def _status_lines(store: Store, described: Mapping[str, Any], studies: StudyMani
 
 
 def _missing_lines(store: Store, last: LatestRun, by_stage: Mapping[str, Sequence[Manifest]]) -> list[str]:
-    """Return which artifacts of a study are missing, and why; nothing where all are there."""
+    """Return how many artifacts of a study are missing, and why one is; empty if none is."""
     there = {manifest.ref.place for manifests in by_stage.values() for manifest in manifests}
     gone = [ref for ref in last.refs() if ref.place not in there]
     return [

@@ -1,4 +1,4 @@
-"""`study`: studies that ship, their keys, and new ones."""
+"""`study`: lists and shows studies, explains their keys, writes new ones."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def new(
 
 
 def _describe(name: str, graph: Graph) -> dict[str, Any]:
-    """Describe a study that ships; `stages` is None for one that others extend only."""
+    """Describe a study that ships; `stages` is None for one that only serves as a base."""
     tree = read_study_tree(name, Path.cwd()).values
     head, ingest = tree[HEAD], tree.get("ingest", {})
     pairs = [pair for pair in ingest.get("pairs", {}).values() if pair.get("takes") != []]
@@ -149,14 +149,14 @@ def _stage_words(stages: list[str] | None, graph: Graph) -> str:
 
 
 def _toml_lines(path: str, value: Any) -> list[str]:
-    """Return a value as lines of TOML, one key a line with its whole path; what is not set is absent."""
+    """Return a value as lines of TOML, each with the whole path of a key; unset keys are left out."""
     if isinstance(value, dict) and value:
         return [line for name, item in value.items() for line in _toml_lines(f"{path}.{_key(name)}".lstrip("."), item)]
     return [] if value is None else [f"{path} = {_toml(value)}"]
 
 
 def _toml(value: Any) -> str:
-    """Return a value as TOML writes it inside a line."""
+    """Return a value as inline TOML."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None) + " }"
     if isinstance(value, list):

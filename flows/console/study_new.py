@@ -1,4 +1,4 @@
-"""A study to start from: written for motion files, 2D poses or a film, what their content tells as comments."""
+"""Writes a study to start from, for motion files, 2D poses or a film, with findings from their content as comments."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ from tasks.views import ViewsParameters
 
 _SURE, _LIKELY = 0.9, 0.6
 ONE_TAKE = 0.98
-"""Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""
+"""Two files count as one take if the shorter has at least this share of the length of the longer."""
 _DOUBTS = "A GUESS", "ARE THEY"
-"""What a line of the study has in it that somebody has to look at."""
+"""Marks of lines in the study that need a decision."""
 _quoted = partial(json.dumps, ensure_ascii=False)
 
 
 @dataclass(frozen=True)
 class _Person:
-    """Somebody of a motion file: his motion, what it is taken to be, and the mapping drafted where no layout fits.
+    """A person of a motion file: motion, resolved properties, and a drafted mapping if no layout fits.
 
     `layout` is the name of the layout, or of the mapping; empty where a mapping lacks joints that are needed.
     """
@@ -74,7 +74,7 @@ class _Person:
 
 @dataclass(frozen=True)
 class _Video:
-    """2D poses or a film as the study names them, how many people they show at once, and whether they move.
+    """2D poses or a film as the study names them, the number of people at once, and whether they move.
 
     `given` is the key of a film that says where its 2D poses come from; empty for 2D poses.
     """
@@ -89,7 +89,7 @@ class _Video:
 
 
 def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[FilmOptions] = ()) -> list[str]:
-    """Write a commented study over files to a new file; return findings and doubts, a line each.
+    """Write a commented study for files to a new file; return findings and doubts as lines.
 
     Motion files are the people of one take, person A first.  Without files, the study is of the built-in duets.
 
@@ -103,7 +103,7 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
     sources += [_read_film(film, path.parent) for film in films]
     people = _with_one_draft([source for source in sources if isinstance(source, _Person)])
     videos = [source for source in sources if isinstance(source, _Video)]
-    # Names of files and joints stand in them, and must not become lines of the study.
+    # Names of files and joints in them must not become lines of the study.
     lines = [visible(line, is_line=True) for line in _take_lines(people)] if people else []
     shown = [_quoted(_shown(person.path, path.parent)) for person in people]
     take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
@@ -137,7 +137,7 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
 
 
 def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
-    """Read everybody of a motion file, or a file or folder of 2D poses."""
+    """Read all people of a motion file, or a file or folder of 2D poses."""
     if not path.exists():
         raise InputError(f"file {path} does not exist")
     with named(path.name):
@@ -156,7 +156,7 @@ def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
 
 
 def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
-    """Return the assumptions about a person's motion: as a study will, and by a draft where no known layout fits."""
+    """Resolve a person's motion as a study will, with a drafted mapping if no known layout fits."""
     options = PersonOptions(metres_per_unit=exported_unit_m(path))
     taken, draft, layout = resolve_file(file, motion, options), None, ""
     if taken.layout is not None:
@@ -172,7 +172,7 @@ def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
 
 
 def _read_video(path: Path, base: Path) -> _Video:
-    """Read 2D poses as a study will; what is no video are single images, such as key frames."""
+    """Read 2D poses as a study will, as video or as single images such as key frames."""
     sources = find_annotations(AnnotationOptions(id=_identifier(path.stem), path=path))
     formats = {source.parameters.format for source in sources}
     people: Counter[tuple[str, int]] = Counter()
@@ -193,7 +193,7 @@ def _read_video(path: Path, base: Path) -> _Video:
 
 
 def _read_film(film: FilmOptions, base: Path) -> _Video:
-    """Find a film as a study will; key frames or keypoints tell how many people it shows, a detector is not run."""
+    """Find a film as a study will; its people are counted in key frames or detections, without running a detector."""
     shots = [shot.parameters for shot in find_videos(film)]
     frames = counted(sum(shot.num_frames for shot in shots), "frame")
     cuts = f" in {len(shots)} shots" if len(shots) > 1 else ""
@@ -234,7 +234,7 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
         [_layout(person), _axis(axis), _rate(person), *[_mirror(person, exchanged)] * is_exchanged, _unit(person)]
         for person, axis, is_exchanged in zip(people, axes, exchanged, strict=True)
     ]
-    # Lines that are the same for everybody stand once, with the take.
+    # Lines that are the same for all people are written once, with the take.
     shared = [line for line in told[0][:-1] if all(_key(line) in map(_key, lines) for lines in told[1:])]
     keys = set(map(_key, shared))
     different = [[line for line in lines if _key(line) not in keys] for lines in told]
@@ -242,19 +242,19 @@ def _take_lines(people: Sequence[_Person]) -> list[str]:
 
 
 def _key(line: str) -> str:
-    """Return a line without its remark."""
+    """Return a line without its comment."""
     return line.removeprefix("# ").partition("#")[0].strip()
 
 
 def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
-    """Return people of whom those of one rig, whose drafts have the same joints, share the draft of the first."""
+    """Return people, where those whose drafts have the same joints share the draft of the first."""
     first: dict[tuple[str, ...], _Person] = {}
     shared: list[_Person] = []
     for person in people:
         if person.draft is not None:
             owner = first.setdefault(tuple(part.joint for part in person.draft.parts), person)
             name = _identifier(owner.path.stem)
-            # Another rig may be in a file of the same name.
+            # A file of the same name may have another rig.
             name += f"_{len(first)}" * any(other.layout == name and other.draft is not owner.draft for other in shared)
             person = replace(person, draft=owner.draft, layout=name if person.layout else "")
         shared.append(person)
@@ -262,7 +262,7 @@ def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
 
 
 def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
-    """Return each draft once, with the first file of it and its name."""
+    """Return each draft once, with its first file and its name."""
     named_drafts = {
         id(person.draft): (person.path, person.layout, person.draft) for person in reversed(people) if person.draft
     }
@@ -270,7 +270,7 @@ def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
 
 
 def _drafted(people: Sequence[_Person]) -> list[str]:
-    """Return the drafts as a table for the terminal, and the joints not found."""
+    """Return the drafts as a table for the terminal, and the missing joints."""
     lines = []
     for path, _, draft in _drafts(people):
         rows = [
@@ -305,7 +305,7 @@ def _axis(axis: AxisGuess) -> str:
 
 
 def _mirror(person: _Person, exchanged: Sequence[bool]) -> str:
-    """Return the line that puts left and right in order in a file that has them the wrong way round."""
+    """Return the line that exchanges left and right, for a file that has them reversed."""
     mend = "true" if all(exchanged) else '"names"'
     return (
         f"mirrored = {mend}       # {person.path.name}: toes and knees point backwards, left and right are exchanged, "
@@ -322,7 +322,7 @@ def _said(person: _Person) -> str:
 
 
 def _length(people: Sequence[_Person]) -> list[str]:
-    """Say whether the files are of one take, by their lengths: in seconds where their rates differ."""
+    """Return a line if files differ in length, in seconds if their rates differ: they may not be one take."""
     lengths: list[float] = [person.num_frames for person in people]
     shown, what, slack = [str(length) for length in lengths], "frames", 0.0
     rates = one_rate([person.taken.rate_hz for person in people if person.taken.rate_hz])
@@ -376,7 +376,7 @@ def _words(confidence: float) -> str:
 
 
 def _shown(path: Path, base: Path) -> str:
-    """Return a path as the study should say it: relative inside its folder, else absolute."""
+    """Return a path for the study: relative inside its folder, else absolute."""
     resolved, folder = path.resolve(), base.resolve()
     return resolved.relative_to(folder).as_posix() if resolved.is_relative_to(folder) else resolved.as_posix()
 

@@ -1,4 +1,4 @@
-"""`verify`: whether every file of a store is as its manifest says."""
+"""`verify`: compares every file of a store with its manifest."""
 
 from __future__ import annotations
 

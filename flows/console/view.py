@@ -1,4 +1,4 @@
-"""`view`: show a store or motion files in a browser."""
+"""`view`: shows a store or motion files in a browser."""
 
 from __future__ import annotations
 

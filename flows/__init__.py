@@ -1,1 +1,1 @@
-"""What happens, in order: studies, plans, the flows that run them, and the command line."""
+"""Orchestration: studies, plans, the flows that run them, and the command line."""

@@ -26,16 +26,16 @@ from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, join
 from tasks.stage import EarlyPlan, Shard, StageInputs
 
 _STAGE_FIRST = 1_000_000
-"""By which the priority of a stage counts more than that of a shard that has as many shards after it."""
+"""Weight of a stage's urgency against the number of shards that wait for a shard."""
 _POLL_S = 0.2
 _SHOWN_S = 60.0
-"""While a stage is in work, its partitions are shown this often."""
+"""Interval at which the partitions of a running stage are shown."""
 _NAMED = 5
-"""Of what was not run, so many are named."""
+"""Number of skipped shards that are named."""
 
 ShowPartitions = Callable[[Sequence[PartitionCount]], None]
 StartTask = Callable[[str, Callable[[ShowPartitions], None]], object]
-"""Starts the task of a stage in a thread; its work gets a function that shows the partitions."""
+"""Starts the task of a stage in a thread; the work receives a function that shows the partitions."""
 
 
 @dataclass(eq=False)
@@ -71,13 +71,13 @@ class _StageWork:
 
     @property
     def error(self) -> ShardError | InputError | None:
-        """Return why it failed; None where it did not, or only as a stage that it needs did."""
+        """Return why it failed; None if it did not, or only because a stage that it needs failed."""
         tried = sorted((end.error for end in self.failed if not end.is_behind), key=lambda error: error.where)
         return self.refusal or (joined(tried) if tried else None)
 
     @property
     def is_lost(self) -> bool:
-        """Return whether nothing that needs it can be planned any more."""
+        """Return whether the stages that need it can no longer be planned."""
         return bool(self.failed) or self.refusal is not None or self.is_skipped
 
     @property
@@ -118,7 +118,7 @@ class Build:
         return tuple(work.outcome for work in self._work.values() if work.outcome is not None)
 
     def bring_up_to_date(self, is_interrupted: Callable[[], bool]) -> None:
-        """Work until nothing is left that can be done.
+        """Compute everything that can be computed.
 
         Raises:
             ShardError, InputError: Something failed.
@@ -143,7 +143,7 @@ class Build:
                 work.ended.set()
 
     def _follow(self, work: _StageWork, show: ShowPartitions) -> None:
-        """Do the task of a stage: show its partitions until it has ended, and fail as it failed."""
+        """Run the task of a stage: show its partitions until it ends, and raise its error."""
         is_over = False
         while not is_over:
             is_over = work.ended.wait(_SHOWN_S)
@@ -154,7 +154,7 @@ class Build:
             raise Stopped("given up")
 
     def _next(self) -> ShardDone | ShardFailed | None:
-        """Return how a shard ended, None where none has within a moment."""
+        """Return how the next shard ended; None if none ends within a moment."""
         self._pool.work()
         with suppress(Empty):
             shard = self._ended.get(timeout=_POLL_S)
@@ -164,7 +164,7 @@ class Build:
         return None
 
     def _settle(self, ended: ShardDone | ShardFailed) -> None:
-        """Note the end of a shard."""
+        """Record the end of a shard."""
         shard, work = ended.shard, self._work[ended.shard.stage]
         del self._priority[shard.key]
         self._tally.end(ended)
@@ -180,7 +180,7 @@ class Build:
         self._close(work)
 
     def _advance(self) -> None:
-        """Begin every stage that can be planned, early plans of others, and report progress."""
+        """Begin every stage that can be planned, begin early plans of the others, and report progress."""
         for name, work in self._work.items():
             if work.is_waiting:
                 needed = self._run.graph.needed(name, self._run.study.parameters[name])
@@ -195,7 +195,7 @@ class Build:
         self._run.listener.progressed(self._tally.progress(waiting, self._pool.num_workers))
 
     def _begin(self, work: _StageWork, made: dict[str, tuple[Manifest, ...]]) -> None:
-        """Plan a stage of which all that it reads is there, by stage, and have it computed."""
+        """Plan a stage whose inputs are complete, and submit its shards."""
         plan, stage, run = work.plan, work.plan.stage, self._run
         work.early = {}
         if plan.is_pending:
@@ -205,7 +205,7 @@ class Build:
             except InputError as error:
                 work.refusal = error
                 return
-            # What this run began is its work, also where it is committed and no message of that was read yet.
+            # A shard of this run counts as its work, also if it is committed and the message was not read yet.
             shards = (replace(i, state=State.MISSING) if i.shard.key in self._begun else i for i in plan.shards)
             plan = replace(plan, is_asked=work.plan.is_asked, shards=tuple(shards))
         for item in plan.shards:
@@ -217,7 +217,7 @@ class Build:
         self._close(work)
 
     def _begin_early(self, work: _StageWork, early: EarlyPlan) -> None:
-        """Have the shards of an early plan computed: those certain before the stage can be planned."""
+        """Submit the shards of an early plan, which are certain before the stage can be planned."""
         stage, run = work.plan.stage, self._run
         above = [self._work[name] for name in run.graph.upstream[stage.name]]
         above = [other for other in above if set(early.reads).intersection(other.plan.stage.tables)]
@@ -231,12 +231,12 @@ class Build:
         there = [one for other in above for one in other.made or ()]
         held = {table: tuple(manifest for manifest in there if table in manifest.tables) for table in early.reads}
         held |= {table: tuple(manifest for manifest in new if table in manifest.tables) for table in early.each}
-        with suppress(InputError):  # said when the stage is planned
+        with suppress(InputError):  # reported when the stage is planned
             shards = early.plan(StageInputs(manifests=held, seed=run.study.head.seed), run.study.parameters[stage.name])
             self._take(work, [shard for shard in shards if run.store.find(stage.name, shard.key) is None])
 
     def _take(self, work: _StageWork, shards: Iterable[Shard]) -> None:
-        """Submit shards that were not submitted before, those with the longest chain of dependants first."""
+        """Submit new shards, those with the longest chain of dependants first."""
         new = {planned_shard.key: planned_shard for planned_shard in shards if planned_shard.key not in self._begun}
         before = {key: [other for other in planned_shard.after if other in new] for key, planned_shard in new.items()}
         order = list(TopologicalSorter(before).static_order())
@@ -249,7 +249,7 @@ class Build:
             self._start_task(work.plan.stage.name, partial(self._follow, work))
         for key in order:
             shard = new[key]
-            # A shard has no higher priority than one in work that it comes after.
+            # A shard never has a higher priority than a running one that it waits for.
             ahead = (self._priority[other] for other in shard.after if other in self._priority)
             self._priority[key] = min([work.urgency * _STAGE_FIRST + behind[key], *ahead])
             self._begun.add(key)
@@ -258,7 +258,7 @@ class Build:
             self._pool.submit(work.plan.stage.run_shard, shard, self._priority[key], self._ended.put)
 
     def _close(self, work: _StageWork) -> None:
-        """Record a planned stage when it is complete, and end its task when nothing of it is left."""
+        """Record a planned stage when it is complete, and end its task when none of its shards is left."""
         if not work.is_planned or work.num_left:
             return
         if not work.failed:
@@ -300,7 +300,7 @@ def by_urgency(graph: Graph) -> list[str]:
 
 
 def stages_behind(graph: Graph) -> dict[str, int]:
-    """Return for each stage how many stages, one after the other, wait for it: what is urgent waits for no branch."""
+    """Return for each stage the length of the longest chain of stages that wait for it."""
     behind: dict[str, int] = {}
     for name in reversed(graph.names):
         below = [behind[other] for other in behind if name in graph.upstream[other]]

@@ -1,4 +1,4 @@
-"""Garbage collection of a store: what datasets, studies and recent runs need stays."""
+"""Garbage collection of a store: keeps what datasets, studies and recent runs need."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class StoreInUseError(Exception):
 
 @dataclass(frozen=True)
 class Collection:
-    """What stays in a store and what goes: artifacts, and the folders of runs by id with their bytes.
+    """Artifacts to keep and to remove, and folders of runs by id with their bytes.
 
     Likewise the folders of the cache in which clips are unpacked, of whatever store or folder.
     """
@@ -40,7 +40,7 @@ class Collection:
 
     @property
     def num_bytes(self) -> int:
-        """Return the bytes that go."""
+        """Return the bytes to remove."""
         folders = chain(self.going_runs.values(), self.going_clips.values())
         return sum(stored.num_bytes for stored in self.artifacts.going) + sum(folders)
 
@@ -84,7 +84,7 @@ def find_garbage(store: Store, since: datetime) -> Collection:
 
 
 def collect(store: Store, since: datetime) -> Collection:
-    """Remove what `find_garbage` does not find needed; killed at any moment, the same call again finishes it.
+    """Remove what `find_garbage` finds unneeded. After a kill at any moment, the same call finishes the work.
 
     Raises:
         StoreInUseError: A run is in progress.
@@ -93,7 +93,7 @@ def collect(store: Store, since: datetime) -> Collection:
     """
     with in_use(store, alone=True):
         for run in describe_runs(store):
-            if run["status"] == "running" and isinstance(store, FolderStore):  # who builds in a bucket holds its lease
+            if run["status"] == "running" and isinstance(store, FolderStore):  # a build in a bucket holds its lease
                 raise StoreInUseError(
                     f"run {run['run_id']} is in progress on {run['host']}, so nothing is removed; wait until it ends, "
                     "or stop it (it continues later); if it died there, remove its folder in runs/"
@@ -102,12 +102,12 @@ def collect(store: Store, since: datetime) -> Collection:
         remove_unneeded(store, sweep.artifacts)
         store.remove_folders(store.root / "runs" / run_id for run_id in sweep.going_runs)
     for path in sweep.going_clips:
-        shutil.rmtree(path, ignore_errors=True)  # of which another may remove files, too
+        shutil.rmtree(path, ignore_errors=True)  # another process may remove files of it, too
     return sweep
 
 
 def _made_or_found(store: Store, run_id: str) -> Iterator[StageKey]:
-    """Return what a run made, and what it planned: where it did not finish, what it found fresh and what it began."""
+    """Yield what a run made and what it planned: an unfinished run found and began more than it recorded."""
     yield from (ref.place for ref in made_by(store, run_id))
     for stage in run_file(store, run_id, PLAN_FILE).get("stages", []):
         yield from ((stage["stage"], shard["key"]) for shard in stage.get("shards", []))

@@ -1,4 +1,4 @@
-"""Estimates a build on any number of workers: shards take as long as measured, the longest chains run first."""
+"""Estimates a build on any number of workers: shards take their measured times, the longest chains run first."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OVERHEAD_S = 0.004
 
 
 class Job(NamedTuple):
-    """A shard with its seconds on a worker, or the end of a stage, which takes none; `after` are numbers of jobs."""
+    """A shard with its seconds on a worker, or the end of a stage, which takes none; `after` has numbers of jobs."""
 
     seconds: float = 0.0
     after: tuple[int, ...] = ()
@@ -32,7 +32,7 @@ class Job(NamedTuple):
 
 @dataclass
 class Work:
-    """What has to be computed, as far as it is known.
+    """The known work of a build.
 
     Args:
         jobs: Each after those that it waits for.
@@ -53,7 +53,7 @@ class Work:
     unknown: list[str] = field(default_factory=list)
 
     def add(self, job: Job, processor_s: float = 0.0, num_bytes: float = 0.0, *, is_measured: bool = False) -> int:
-        """Add a job; gives its number."""
+        """Add a job and return its number."""
         self.jobs.append(job)
         self.num_shards += job.is_shard
         self.processor_s += processor_s
@@ -62,13 +62,13 @@ class Work:
         return len(self.jobs) - 1
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as JSON values, without the jobs one by one."""
+        """Return it as JSON values, without the single jobs."""
         return {name: value for name, value in vars(self).items() if name != "jobs"}
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a build takes on a number of workers: seconds by the clock, core hours, part of these at work."""
+    """The cost of a build on a number of workers: seconds by the clock, core hours, and the busy share of these."""
 
     num_workers: int
     wall_s: float
@@ -77,7 +77,7 @@ class Cost:
 
 
 def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None = None) -> Work:
-    """Return what a plan has to compute, as far as that was computed once, here or in the store `measured`.
+    """Return the work of a plan, as measured when it was computed before, here or in the store `measured`.
 
     Of a stage that cannot be planned yet it is what there was last time.
 
@@ -118,7 +118,7 @@ def _add_stage(
     numbers: dict[tuple[str, str, str], int],
     waits: tuple[int, ...],
 ) -> None:
-    """Add the shards of a stage, by where they stand: their keys are not known before what they read is there."""
+    """Add the shards of a stage by their places; their keys are unknown until their inputs exist."""
     name = stage.stage.name
     before = {(manifest.partition, manifest.name): manifest for manifest in had.values() if manifest.ref.stage == name}
     took = {
@@ -139,7 +139,7 @@ def _add_stage(
 
 
 def estimate_cost(work: Work, num_workers: int) -> Cost:
-    """Estimate the work on so many workers as fast as those measured, by simulating it shard by shard."""
+    """Estimate the work on this many workers, as fast as those measured, by simulating it shard by shard."""
     jobs, left = work.jobs, [len(job.after) for job in work.jobs]
     followers: list[list[int]] = [[] for _ in jobs]
     for number, job in enumerate(jobs):

@@ -32,7 +32,7 @@ from tasks.shards import Pool, in_one_line
 
 telemetry_off()
 
-# Telemetry is off first, so these imports come late.
+# These imports come after telemetry is off.
 from prefect import flow, task  # noqa: E402
 from prefect.artifacts import create_markdown_artifact, create_table_artifact  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
@@ -49,11 +49,11 @@ from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
 from prefect.utilities.annotations import quote  # noqa: E402
 
 _THREADS: Any = ThreadPoolTaskRunner(max_workers=100)
-"""A thread for each stage, which waits."""
+"""One waiting thread for each stage."""
 
 
 def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) -> Outcome:
-    """Build a plan as a flow; what was done, or what failed, is returned also where Prefect cannot be reached any more.
+    """Build a plan as a flow, and return the outcome or raise its error also if Prefect can no longer be reached.
 
     Args:
         run: What is to be built.
@@ -73,8 +73,8 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
             server.end()
     folder = begin(run, plan)  # while the server starts
     if not address and server is not None:
-        # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
-        # Nobody starts it again either, so each request waits some seconds for that and not a minute.
+        # Heartbeats find flows whose process died. This server dies with its only flow, and they cost a second.
+        # Nobody restarts it either, so each request waits some seconds for it, not a minute.
         settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 1}
         settings[PREFECT_API_URL] = server.wait()
 
@@ -111,7 +111,7 @@ def dataset(
     oversubscribe: bool = False,
     cluster: str | None = None,
 ) -> dict[str, int]:
-    """Bring a study up to date: the entry point of deployments (see `deploy/`); gives the shards computed per stage.
+    """Bring a study up to date, as the entry point of deployments; return the number of computed shards by stage.
 
     Relative paths of settings and of a study that ships start from `folder`: a worker's own is another each time.
     """
@@ -156,32 +156,32 @@ def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
 
 
 def _reason(verdict: Verdict | None) -> str:
-    """Return why a verdict is as it is: its reason, and the figure that matters, which a pass has alone."""
+    """Return the reason of a verdict and its figure; a pass has only the figure."""
     return "" if verdict is None else "; ".join(filter(None, (verdict.reason, figure_words(verdict))))
 
 
 def _name_flow_run(run_id: str) -> None:
-    """Name the flow run after the run of the store; a server that does not answer shows another name, no more."""
+    """Name the flow run after the run of the store; it keeps another name if the server does not answer."""
     with suppress(HTTPError), get_client(sync_client=True) as client:
         client.update_flow_run(flow_run.id, name=run_id)
 
 
 @task(task_run_name="{stage}", retries=0, cache_policy=NO_CACHE, persist_result=False)
 def _stage(stage: str, follow: Callable[[ShowPartitions], None]) -> None:
-    """Show a stage while it is in work: a task run of Prefect, whose artifact has a row for each partition."""
+    """Show a running stage as a task run of Prefect, whose artifact has a row for each partition."""
     key = _key("stage", stage)
 
     def show(counts: Sequence[PartitionCount]) -> None:
         rows = [{**asdict(count), "seconds": round(count.seconds, 1)} for count in counts]
-        with suppress(HTTPError):  # a build needs no server
+        with suppress(HTTPError):  # a build does not need the server
             create_table_artifact(rows, key=key, description=f"partitions of stage {stage}")
 
     follow(show)
 
 
 def _start_task(stage: str, follow: Callable[[ShowPartitions], None]) -> None:
-    """Start the task of a stage in a thread of the flow in whose body this is called."""
-    given: Any = quote(follow)  # Prefect would look for futures in it, and gives the task what is quoted
+    """Start the task of a stage in a thread of the current flow."""
+    given: Any = quote(follow)  # unquoted, Prefect would search it for futures
     _stage.with_options(name=stage).submit(stage, given, return_state=False)
 
 

@@ -1,4 +1,4 @@
-"""What two runs or versions of datasets differ by: parameters, environment, source files, artifacts, scores."""
+"""Differences of two runs or versions of datasets: parameters, environment, source files, artifacts, scores."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from storage_schema.comparison import Difference, compare_artifacts
 
 
 class ScoreName(NamedTuple):
-    """What a figure of the table `scores` is of; `at` is None where it is no point of a curve."""
+    """Identifies a figure of the table `scores`; `at` is None unless it is a point of a curve."""
 
     topic: str
     metric: str
@@ -26,7 +26,7 @@ class ScoreName(NamedTuple):
 
 
 Figures = Mapping[ScoreName, tuple[float | None, str]]
-"""Value and unit of figures; NaN, of which JSON knows nothing, is None."""
+"""Value and unit of figures; None stands for NaN, which JSON lacks."""
 
 
 def _figures_of(store: Store, manifests: Iterable[Manifest]) -> Figures:
@@ -47,7 +47,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class ScoreChange:
-    """A score before and after; None where it is not there, or no number."""
+    """A score before and after; None if it is absent or NaN."""
 
     figure: ScoreName
     unit: str
@@ -56,14 +56,14 @@ class ScoreChange:
 
     @property
     def name(self) -> str:
-        """Return what it is of, in words."""
+        """Return its name in words."""
         *words, at = self.figure
         said = " ".join(str(word) for word in words if word not in ("", "all"))
         return said if at is None else f"{said} at {at:g}"
 
     @property
     def cells(self) -> tuple[str, str, str]:
-        """Return both figures and the unit as texts."""
+        """Return both figures and the unit as text."""
         a, b = ("-" if value is None else f"{value:.5g}" for value in (self.a, self.b))
         return a, b, self.unit
 
@@ -86,7 +86,7 @@ class Changes:
 
 
 def differences(store: Store, first: Recorded, other: Recorded) -> Changes:
-    """Put two runs or versions side by side; raises what reading their scores raises."""
+    """Compare two runs or versions; raises the errors of reading their scores."""
     counts: dict[str, dict[str, int]] = {}
     for place in {**first.artifacts, **other.artifacts}:
         mine, theirs = first.artifacts.get(place), other.artifacts.get(place)
@@ -118,7 +118,7 @@ def differences(store: Store, first: Recorded, other: Recorded) -> Changes:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What two builds of one study differ by.
+    """Differences of two builds of one study.
 
     Args:
         num_same: Artifacts with the same bytes.
@@ -134,7 +134,7 @@ class Comparison:
 
     @property
     def is_same(self) -> bool:
-        """Whether nothing differs by more than rounding."""
+        """Return whether all differences are rounding."""
         return self.beyond is None and not self.only_one
 
     def to_json(self) -> dict[str, Any]:
@@ -165,7 +165,7 @@ class Comparison:
 def compare(
     one_store: Store, first: Mapping[Place, Manifest], other_store: Store, other: Mapping[Place, Manifest]
 ) -> Comparison:
-    """Compare two builds artifact by artifact; of those with the same digest nothing is read.
+    """Compare two builds artifact by artifact; only those with different digests are read.
 
     Attached files (pages, pictures, weights) have no tolerance: other bytes of theirs count as rounding where a table
     before them, or beside them, was rounded otherwise; one that is missing never does.

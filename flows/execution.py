@@ -1,4 +1,4 @@
-"""One run of a study, from its record to its report; who computes the shards is passed in."""
+"""One run of a study, from its record to its report; a pool that is passed in computes the shards."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tasks.shards import ClusterPool, ClusterSettings, HerePool, Pool, connect, 
 
 
 def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: StartTask | None = None) -> Outcome:
-    """Bring every selected stage of the study up to date; the record of the last run follows stage by stage.
+    """Bring every selected stage of the study up to date; the record of the last run is updated stage by stage.
 
     A shard starts when what it reads is there, whatever its stage.  A stage is recorded when all of it is there, by the
     plan made from all that it reads, in that plan's order: who finished first leaves no trace.
@@ -45,14 +45,14 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         raise
     finally:
         build.end()
-        # On a disk that is full the record fails as well: what is said is what went wrong first.
+        # On a full disk the record fails as well: the first error is the one to report.
         with nullcontext() if status == "finished" else suppress(StorageError):
             run.store.clear_leftovers()
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in build.outcomes], peak)
     reporting = [outcome for outcome in build.outcomes if outcome.name in run.graph.reporting]
     report = copy_report(run.store, folder, [ref for stage in reporting for ref in stage.artifacts])
     if run.is_profiled:
-        from flows.profiling import write_profile  # draws: what is not profiled need not wait for it
+        from flows.profiling import write_profile  # here, because it imports matplotlib
 
         run.listener.note(f"profile: {write_profile(folder.path / 'report', run.store, build.done)}")
     return Outcome(folder.run_id, build.outcomes, report, peak, shown_page(run.store, run.study.name, report))
@@ -60,7 +60,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
 
 @contextmanager
 def open_pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
-    """Start, or connect to, what computes shards for this block."""
+    """Start, or connect to, the pool that computes shards in this block."""
     root = str(run.store)
     run.store.root.mkdir(parents=True, exist_ok=True)
     if not settings.is_shared and settings.num_workers == 0:
@@ -86,7 +86,7 @@ def begin(run: Run, plan: Plan) -> RunFolder:
 
 
 def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
-    """Return the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
+    """Return the outcome of a fresh study; a run is recorded only if its state is not on record yet."""
     last = read_last_run(run.store, run.study.name)
     is_known = last is not None and all(
         is_on_record(last, stage.stage.name, stage.manifests) for stage in plan.stages if stage.is_selected

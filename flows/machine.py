@@ -1,4 +1,4 @@
-"""What this machine is: cores, memory, room on a disk."""
+"""Cores, memory and disk space of this machine, and where shards run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tasks.shards.profiles import read_profile
 
 GIB = 1024**3
 WORKER_MEMORY_GB = 2.0
-"""Of one local worker, by default."""
+"""Default memory of a local worker."""
 _KERNEL_BYTES = 64 * 1024**2
-"""Room for all compiled kernels."""
+"""Disk space for all compiled kernels."""
 _GROUPS, _GROUP_LIMITS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-"""Where Linux says which control groups this process is in, and keeps their limits."""
+"""Where Linux lists the control groups of this process, and their limits."""
 
 
 def usable_cores() -> int:
@@ -34,7 +34,7 @@ def usable_cores() -> int:
 
 
 def memory_bytes() -> int | None:
-    """Return the memory of the machine, or of its container; None where the system does not tell."""
+    """Return the memory of the machine or its container; None if it is unknown."""
     limits = [*_group_limits("memory", "memory.max"), *_group_limits("memory", "memory.limit_in_bytes")]
     with suppress(OSError, ValueError):
         limits.append([os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")])
@@ -42,7 +42,7 @@ def memory_bytes() -> int | None:
 
 
 def _group_limits(controller: str, *names: str) -> Iterator[list[int]]:
-    """Yield the limits, in files of these names, of the control groups of Linux that this process is in, inner first.
+    """Yield the limits in files of these names of this process's Linux control groups, the innermost first.
 
     There are two versions: in the first, each controller has groups of its own, and -1 is no limit.
     """
@@ -80,7 +80,7 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
 
 
 def why_few(settings: ClusterSettings) -> str:
-    """Say that there is no memory for as many local workers as cores; empty where there is, or for more than these."""
+    """Return the reason for fewer local workers than cores, if memory is short; else empty."""
     memory = memory_bytes()
     if memory is None or not max(1, memory // settings.memory_bytes) == settings.num_workers < usable_cores():
         return ""
@@ -96,7 +96,7 @@ def cluster_settings(
     cluster: str | Path | None = None,
     oversubscribe: bool = False,
 ) -> ClusterSettings:
-    """Return where shards run; a given scheduler, or the cluster of a profile, has workers of its own.
+    """Return where shards run; a scheduler, or the cluster of a profile, has its own workers.
 
     Raises:
         InputError: As `num_workers`, both a scheduler and a profile are given, or the profile cannot be read.
@@ -111,7 +111,7 @@ def cluster_settings(
 
 
 def processor() -> dict[str, Any]:
-    """Return the name and the features of this processor, as the compiler of kernels sees them."""
+    """Return the name and the features of this processor, as LLVM sees them."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()
@@ -119,14 +119,14 @@ def processor() -> dict[str, Any]:
 
 
 def thread_settings() -> dict[str, str]:
-    """Return the environment settings that can change the last bits of a result: threads and instructions."""
+    """Return the environment settings that can change the last bits of a result: threads and instruction set."""
     settings = pinned_instructions() | worker_environment()
     settings.pop("NUMBA_CACHE_DIR", None)
     return settings
 
 
 def kernel_cache() -> tuple[Path, str]:
-    """Return where compiled kernels are kept, and why they cannot be, found by trying; empty where they can."""
+    """Return the folder of compiled kernels, and why nothing can be written there; empty if it can."""
     folder = Path(worker_environment().get("NUMBA_CACHE_DIR") or Path(pasdedeux.__file__).parent)
     try:
         with tempfile.NamedTemporaryFile(dir=nearest_folder(folder)):
@@ -138,12 +138,12 @@ def kernel_cache() -> tuple[Path, str]:
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the room left on the disk of a folder that need not be there yet."""
+    """Return the free space on the disk of a folder, which need not exist yet."""
     return shutil.disk_usage(nearest_folder(folder)).free
 
 
 def nearest_folder(folder: Path) -> Path:
-    """Return a folder, or the first above it that is there."""
+    """Return a folder, or its nearest parent that exists."""
     folder = folder.absolute()
     while not folder.exists():
         folder = folder.parent

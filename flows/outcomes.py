@@ -18,7 +18,7 @@ from tasks.summary import stage_verdict
 
 @dataclass(frozen=True)
 class Run:
-    """What one run builds; the pool that computes its shards comes separately.  `is_profiled`: with its profile."""
+    """What one run builds, without the pool that computes its shards; `is_profiled`: with a profile."""
 
     study: Study
     graph: Graph
@@ -30,7 +30,7 @@ class Run:
 
 @dataclass(frozen=True)
 class StageOutcome:
-    """What a run did for one stage."""
+    """The outcome of a run for one stage."""
 
     name: str
     num_shards: int
@@ -43,7 +43,7 @@ class StageOutcome:
 
     @classmethod
     def of(cls, plan: StagePlan, manifests: Sequence[Manifest], seconds: float) -> StageOutcome:
-        """Return the outcome of a stage, for its plan and the artifacts that it led to."""
+        """Return the outcome of a stage from its plan and its artifacts."""
         return cls(
             name=plan.stage.name,
             num_shards=len(plan.shards),
@@ -69,7 +69,7 @@ class StageOutcome:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did, stage by stage, and the memory it took.
+    """The outcome of a run by stage, and its memory.
 
     `report` is the folder of its report, and `page` what to open of it; None when the study makes none.
     """
@@ -82,7 +82,7 @@ class Outcome:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Return the missing inputs of requested stages that made nothing, a sentence each."""
+        """Return a sentence for each requested stage that made nothing, with its missing inputs."""
         return tuple(stage.missing for stage in self.stages if stage.missing)
 
     @property

@@ -1,4 +1,4 @@
-"""The rerun rule: what of a study is fresh, missing, stale or pending, and why; nothing is started to find out."""
+"""The rerun rule: which shards of a study are fresh, missing, stale or pending, and why. Nothing is started for it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tasks.stage import Shard, Stage, StageInputs
 from tasks.summary import stage_verdict
 
 LastRecords = Callable[[str], StageRecord]
-"""Gives every stage, by name, as the last run of a study recorded it."""
+"""Returns the last run's record of a stage, by name."""
 
 
 class PlanError(Exception):
@@ -33,7 +33,7 @@ class NothingMadeError(Exception):
 
 
 class State(StrEnum):
-    """How a shard stands: `fresh` needs no work, `pending` is unknown until what it reads is there."""
+    """State of a shard: `fresh` needs no work, `pending` is unknown until its inputs exist."""
 
     FRESH = "fresh"
     MISSING = "missing"
@@ -89,7 +89,7 @@ class StageSelection:
 
 @dataclass(frozen=True)
 class ShardPlan:
-    """One shard and how it stands; `manifest` is there when it is fresh, or forced and there."""
+    """A shard and its state; `manifest` is its artifact, if it exists."""
 
     shard: Shard
     state: State
@@ -99,7 +99,7 @@ class ShardPlan:
 
 @dataclass(frozen=True)
 class StagePlan:
-    """One stage and how its shards stand; a pending stage has no shards yet, but knows the partitions it had.
+    """A stage and the states of its shards; a pending stage has no shards yet, only its last partitions.
 
     `absent_tables` are those it reads that nothing wrote; `is_asked`: the study or the command names the stage.
     """
@@ -130,7 +130,7 @@ class StagePlan:
 
     @property
     def empty_reason(self) -> str:
-        """Return why a planned stage has no shards, as far as that is known; empty where it has some."""
+        """Return why a planned stage has no shards, if known; empty if it has some."""
         if self.is_pending or self.shards:
             return ""
         return "nothing to do" + (f" (there are no {', no '.join(self.absent_tables)})" if self.absent_tables else "")
@@ -147,7 +147,7 @@ class StagePlan:
 
     @property
     def manifests(self) -> tuple[Manifest, ...]:
-        """Return the artifacts that are there, in the order of the plan."""
+        """Return the existing artifacts, in the order of the plan."""
         return tuple(item.manifest for item in self.shards if item.manifest is not None)
 
     def count(self, state: State) -> int:
@@ -189,7 +189,7 @@ class StagePlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study's stages in the order they run, and how each stands."""
+    """The stages of a study in the order they run, with their states."""
 
     study: str
     stages: tuple[StagePlan, ...]
@@ -201,7 +201,7 @@ class Plan:
 
     @property
     def manifests(self) -> tuple[Manifest, ...]:
-        """Return the artifacts that are there, stage by stage."""
+        """Return the existing artifacts by stage."""
         return tuple(manifest for stage in self.stages for manifest in stage.manifests)
 
     @property
@@ -211,7 +211,7 @@ class Plan:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Say which fresh stages were computed by other sources under the same version."""
+        """Return warnings about fresh stages that were computed by other sources under the same version."""
         now = source_digest()
         names = [s.stage.name for s in self.stages if any(m.source_digest != now for m in s.manifests)]
         if not names:
@@ -226,7 +226,7 @@ class Plan:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return the notes of the shards for the user, a sentence each."""
+        """Return the notes of the shards for the user, one sentence each."""
         shards = (item.shard for stage in self.stages for item in stage.shards)
         return tuple(dict.fromkeys(f"{shard.partition}: {note}" for shard in shards for note in shard.notes))
 
@@ -247,7 +247,7 @@ class Plan:
 
 @uncollected()
 def make_plan(study: Study, graph: Graph, store: Store, selection: StageSelection | None = None) -> Plan:
-    """Return the state of every stage; reads manifests and the headers of source files, computes nothing.
+    """Return the state of every stage, from manifests and headers of source files.
 
     Raises:
         PlanError: An unknown stage is selected, or a selected stage needs one that is neither fresh nor selected.
@@ -286,7 +286,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: StageSelectio
 
 
 def what_is_missing(plan: StagePlan, manifests: Sequence[Manifest]) -> str:
-    """Return what a stage needs that was requested and made nothing; empty where it made something.
+    """Return the needs of a requested stage that made nothing; else empty.
 
     Args:
         plan: The stage as it was planned.
@@ -306,7 +306,7 @@ def what_is_missing(plan: StagePlan, manifests: Sequence[Manifest]) -> str:
 
 
 def refuse_nothing(missing: Sequence[str]) -> None:
-    """Fail where a stage that was asked for made nothing; what others made is in the store.
+    """Fail if a requested stage made nothing; results of others are in the store.
 
     Raises:
         NothingMadeError: Says which stages, and what they need.
@@ -316,7 +316,7 @@ def refuse_nothing(missing: Sequence[str]) -> None:
 
 
 def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manifest]]) -> StageInputs:
-    """Return what a stage may read: for each table it declares, the upstream artifacts that hold a part of it."""
+    """Return the inputs of a stage: for each table that it declares, the upstream artifacts with a part of it."""
     return StageInputs(
         manifests={
             table: tuple(m for artifacts in manifests.values() for m in artifacts if table in m.tables)
@@ -358,15 +358,15 @@ def plan_stage(
             )
         manifest = store.find(stage.name, shard.key)
         if manifest is not None:
-            # A forced run that was killed has made what this came after, and not this, again.
+            # A killed forced run has computed the shards before this one again, and not this one.
             digests[shard.key] = manifest.ref.content_digest
             if shard.after and (
                 behind.intersection(shard.after)
                 or any(digests.get(ref.key, ref.content_digest) != ref.content_digest for ref in manifest.inputs)
             ):
                 behind.add(shard.key)
-            # What was made anew with the same content stands under another key, and the old one may have gone since.
-            after = frozenset(shard.after)  # a summary comes after all segments
+            # A recomputed artifact of the same content has another key, and the old one may be gone.
+            after = frozenset(shard.after)  # a summary waits for all segments
             is_lost = not has_lineage(store, (ref for ref in manifest.inputs if ref.key not in after), there)
             if is_forced or is_lost or shard.key in behind:
                 reason = "a shard before it was computed again with other bytes"
@@ -383,7 +383,7 @@ def plan_stage(
 
 
 def _last_records(store: Store, study: str) -> LastRecords:
-    """Return what gives every stage, by name, as the last run of a study recorded it; read when it is asked for."""
+    """Return a function that returns the last run's record of a stage, read on first use."""
 
     @cache
     def record() -> tuple[Mapping[str, Sequence[ShardRecord]], Mapping[str, Any]]:

@@ -1,4 +1,4 @@
-"""A Prefect server for the length of one run: a process of its own that ends with the run, however that ends.
+"""A Prefect server for one run: a separate process that ends with the run, however the run ends.
 
 Run as a module it is the server; it prints its address and serves until its standard input is closed, which the
 system does when the process that started it dies, also by `kill -9`. (Prefect's own temporary server outlives that.)
@@ -25,7 +25,7 @@ from typing import IO, Literal
 _STARTUP_TIMEOUT_VARIABLE = "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS"
 _STARTUP_TIMEOUT_S = 120.0
 _REFUSED_S = 60.0
-"""How long a server may refuse connections: one that was just started does."""
+"""Time during which a server may refuse connections, as it does while it starts."""
 _ASK_AGAIN_S = 0.5
 _SAY_AGAIN_S = 10.0
 _QUIET = {
@@ -41,19 +41,19 @@ class ServerError(Exception):
 
 
 def telemetry_off() -> None:
-    """Set Prefect's environment before it is imported: no telemetry, and time for a cold start; what is set stays."""
+    """Set Prefect's environment before its import: no telemetry, time for a cold start; set variables stay."""
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
     os.environ.setdefault("PREFECT_LOGGING_LEVEL", "CRITICAL")
-    # Its services say at the end what a server that is gone did not take: under a level of their own, and under names
-    # outside of Prefect's ("EventsWorker: still processing items").
+    # Its services complain at the end if the server is gone: at their own level, and under names
+    # outside Prefect's ("EventsWorker: still processing items").
     os.environ.setdefault("PREFECT_INTERNAL_LOGGING_LEVEL", "CRITICAL")
     for service in ("EventsWorker", "APILogWorker"):
         logging.getLogger(service).setLevel(logging.CRITICAL)
 
 
 class LocalServer:
-    """A server that is starting; `wait` gives the address of its API once it answers."""
+    """A starting server; `wait` returns the address of its API once it answers."""
 
     def __init__(self) -> None:
         telemetry_off()
@@ -90,7 +90,7 @@ class LocalServer:
         return address
 
     def end(self) -> None:
-        """End the server; what it has recorded stays in the user's Prefect database."""
+        """End the server; its records stay in the user's Prefect database."""
         self.process.kill()
         self.process.wait()
         for stream in (self.process.stdin, self.process.stdout):
@@ -99,7 +99,7 @@ class LocalServer:
         self._errors.close()
 
     def _last_words(self) -> str:
-        """Return the last line that the server wrote to standard error, after a colon; empty where there is none."""
+        """Return the server's last line on standard error, after a colon; empty without one."""
         self._errors.seek(0)
         lines = self._errors.read().decode(errors="replace").split("\n")
         return next((f": {line.strip()}" for line in reversed(lines) if line.strip()), "")
@@ -107,7 +107,7 @@ class LocalServer:
 
 @contextmanager
 def writable_home(note: Callable[[str], None]) -> Iterator[None]:
-    """Let Prefect write in a temporary folder in this block where its own cannot be written; `note` is told."""
+    """Let Prefect use a temporary folder in this block if its own cannot be written; `note` receives a message."""
     home = Path(os.environ.get("PREFECT_HOME") or "~/.prefect")
     if not (reason := _why_not_writable(home)):
         yield
@@ -132,7 +132,7 @@ def writable_home(note: Callable[[str], None]) -> Iterator[None]:
 
 
 def _why_not_writable(home: Path) -> str:
-    """Return why Prefect cannot keep its database in a folder, which is made; empty where it can."""
+    """Return why Prefect cannot keep its database in a folder, which is created; empty if it can."""
     try:
         home = home.expanduser()
         home.mkdir(parents=True, exist_ok=True)
@@ -158,7 +158,7 @@ def starting_server() -> Iterator[LocalServer]:
 
 
 def check_server(address: str, note: Callable[[str], None]) -> None:
-    """Wait while a server refuses connections, as one does that is starting; `note` is told.
+    """Wait while a server refuses connections because it is starting; `note` receives messages.
 
     Raises:
         ServerError: It refuses for too long, or does not answer in another way.
@@ -175,7 +175,7 @@ def check_server(address: str, note: Callable[[str], None]) -> None:
 
 @contextmanager
 def signed_in(address: str) -> Iterator[None]:
-    """Say what to do where a server asks for a password in this block: ServerError."""
+    """Turn a server's request for a password in this block into a ServerError that says what to do."""
     try:
         yield
     except Exception as error:
@@ -198,7 +198,7 @@ def _state(address: str) -> Literal["answers", "refuses", "fails"]:
 
 
 def _serve() -> None:
-    """Be the server."""
+    """Run as the server."""
     telemetry_off()
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
@@ -214,7 +214,7 @@ def _serve() -> None:
 
 
 def _end_with_parent() -> None:
-    """Leave at once when standard input is closed: the process that started this one has ended."""
+    """Exit at once when standard input is closed, because the parent process has ended."""
     sys.stdin.read()
     os._exit(0)
 

@@ -1,4 +1,4 @@
-"""The profile of a run: which process computed which shard when, what stages and the longest shards took."""
+"""The profile of a run: which process computed which shard when, and the times of stages and of the longest shards."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HEADINGS = ("clock", "processor", "part of all", "peak memory", "written")
 
 @dataclass(frozen=True)
 class _Bar:
-    """A shard that was computed: its artifact, where, and from when to when in seconds of the run."""
+    """A computed shard: its artifact, its process, and its start and duration in seconds of the run."""
 
     manifest: Manifest
     place: WhereComputed
@@ -32,7 +32,7 @@ class _Bar:
 
 
 def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path:
-    """Write the profile of a run's shards to `profile.html` in a folder; gives the file.
+    """Write the profile of a run's shards to `profile.html` in a folder, and return the file.
 
     Shards that were there, and so were not computed, are not in it.
     """
@@ -49,7 +49,7 @@ def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path
 
 
 def _words(bars: Sequence[_Bar]) -> str:
-    """Say how much was computed, by how many processes, and how busy they were."""
+    """Return in words how much was computed, by how many processes, and how busy they were."""
     num_processes, end_s = (
         len({bar.place.process for bar in bars}),
         max((bar.start_s + bar.seconds for bar in bars), default=0.0),
@@ -63,8 +63,8 @@ def _words(bars: Sequence[_Bar]) -> str:
 
 
 def _time_line(bars: Sequence[_Bar]) -> Picture:
-    """Show when each process computed what."""
-    colours = colormaps["tab20"]  # the ten of a plain axis are fewer than the stages
+    """Draw when each process computed which shards."""
+    colours = colormaps["tab20"]  # a plain axis has ten, fewer than the stages
     processes = list(dict.fromkeys(bar.place.process for bar in bars))
     stages = list(dict.fromkeys(bar.manifest.ref.stage for bar in bars))
     figure, ((axis,),) = new_figure(9.5, 1.3 + 0.35 * len(processes))
@@ -83,7 +83,7 @@ def _time_line(bars: Sequence[_Bar]) -> Picture:
 
 
 def _tables(bars: Sequence[_Bar]) -> list[TextTable]:
-    """Lay out what stages and the longest shards took."""
+    """Return tables of the times of stages and of the longest shards."""
     stages: dict[str, list[_Bar]] = defaultdict(list)
     for bar in bars:
         stages[bar.manifest.ref.stage].append(bar)
@@ -101,7 +101,7 @@ def _tables(bars: Sequence[_Bar]) -> list[TextTable]:
 
 
 def _row(bars: Sequence[_Bar], total_s: float) -> tuple[str, ...]:
-    """Return what shards took, in the columns of `_HEADINGS`."""
+    """Return the times of shards, in the columns of `_HEADINGS`."""
     seconds = sum(bar.seconds for bar in bars)
     return (
         f"{seconds:.2f} s",

@@ -1,4 +1,4 @@
-"""Progress of a run: shards done, left and running, remaining time; and the listener that receives it."""
+"""Progress of a run (shards done, left and running, remaining time), and the listener that receives it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tasks.stage import Shard
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is.
+    """Progress of a run.
 
     Args:
         num_done: Shards that have ended.
@@ -42,7 +42,7 @@ class Progress:
 
 @dataclass
 class PartitionCount:
-    """How far a partition of a stage is: shards, those computed, those that failed or were not tried, and seconds."""
+    """Progress of a partition of a stage: its shards, those computed, those failed or not tried, and seconds."""
 
     partition: str
     num_shards: int = 0
@@ -52,18 +52,18 @@ class PartitionCount:
 
     @property
     def num_ended(self) -> int:
-        """Return how many of its shards have ended."""
+        """Return the number of its shards that have ended."""
         return self.num_computed + self.num_failed
 
 
 class Listener:
-    """Receives the events of a run and does nothing; a console overrides what it shows.
+    """Receives the events of a run and does nothing; subclasses override what they show.
 
     Shards of a stage may be done before it is said to start: what they read was there before all that the stage reads.
     """
 
     def note(self, text: str) -> None:
-        """A message for the user: what is awaited, what was found."""
+        """A message for the user."""
 
     def stage_started(self, plan: StagePlan) -> None:
         """A stage is about to compute the shards that are not fresh."""
@@ -75,14 +75,14 @@ class Listener:
         """Shards have started or ended."""
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
-        """All of a stage is there; with its verdict."""
+        """A stage is complete, with its verdict."""
 
     def close(self) -> None:
         """The run has ended, well or not."""
 
 
 _SOME = 20
-"""Shards of a stage of the last run that are asked what they took."""
+"""Shards of a stage of the last run whose times are read, at most about this many."""
 
 
 class Tally:
@@ -125,11 +125,11 @@ class Tally:
             count.num_failed += 1
 
     def partitions(self, stage: str) -> list[PartitionCount]:
-        """Return the partitions of a stage of which shards were begun, in that order; any thread may ask."""
+        """Return the partitions of a stage whose shards were begun, in that order; safe for any thread."""
         return [count for (name, _), count in list(self._partitions.items()) if name == stage]
 
     def progress(self, waiting: Iterable[StagePlan], num_workers: int) -> Progress:
-        """Return how far the run is, with stages that are not planned yet as large as they were last time."""
+        """Return the progress of the run; unplanned stages count as large as last time."""
         num_left = dict(self._num_left)
         for plan in waiting:
             name, had = plan.stage.name, sum(count for _, count in plan.last_partitions)
@@ -147,7 +147,7 @@ class Tally:
         )
 
     def _running(self, num_workers: int) -> tuple[Shard, ...]:
-        """Return what workers are at: as many as there are, of the highest priority, of those that wait for nothing."""
+        """Return the running shards: as many as workers, those of the highest priority that wait for nothing."""
         levels = (self._by_priority[priority].values() for priority in sorted(self._by_priority, reverse=True))
         ready = (
             shard for shard in chain.from_iterable(levels) if not any(key in self._priority for key in shard.after)
@@ -155,13 +155,13 @@ class Tally:
         return tuple(islice(ready, num_workers))
 
     def _mean_s(self, name: str) -> float | None:
-        """Return what a shard of a stage took, now or last time; None where that is not known."""
+        """Return the mean time of a stage's shards, now or last time; None if it is unknown."""
         seconds, num = self._took.get(name, (0.0, 0))
         return seconds / num if num else self._last_mean_s(name)
 
 
 def _last_mean_s(store: Store, study: str, stage: str) -> float | None:
-    """Return what some shards of a stage took in the last run."""
+    """Return the mean time of some shards of a stage in the last run."""
     last = read_last_run(store, study)
     refs = last.refs(stage) if last is not None else []
     manifests = (store.find(ref.stage, ref.key) for ref in refs[:: max(1, len(refs) // _SOME)])

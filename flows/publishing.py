@@ -22,12 +22,12 @@ from tasks.summary import product_verdicts, summary_of
 
 
 class VerdictError(Exception):
-    """A run is not published, or not good enough, because of verdicts; the message names them, with figures."""
+    """Verdicts prevent publishing, or are too bad; the message names them, with figures."""
 
 
 @dataclass(frozen=True)
 class Published:
-    """What became of a run: a new version, one that was there with the same content, or none.
+    """The result of publishing a run: a new version, an existing one with the same content, or none.
 
     Args:
         name: Name of the dataset.
@@ -48,7 +48,7 @@ class Published:
 
 
 def publish(run: Run, outcome: Outcome) -> Published | None:
-    """Publish the products of a run, fresh ones included, as its study says; None where the study does not ask for it.
+    """Publish the products of a run, fresh ones included; None if its study does not publish.
 
     The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
     study, the environment and the card.  A run of a part of a study, one
@@ -82,7 +82,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         return Published(name, words, failures=failures)
     choices = run.study.resolved().get(SECTION, {}).get("choices", {})
     while True:
-        version = next_version(store, name)  # first: what another run publishes after that takes it, and is seen
+        version = next_version(store, name)  # first, so that a version that another run publishes meanwhile is noticed
         before = newest_version(store, name)
         is_same = before is not None and _content(before.refs) == _content(refs) and before.sources == sources
         is_same = is_same and before is not None and recorded_choices(before.path) == choices
@@ -91,14 +91,14 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         note = f"run {outcome.run_id}"
         try:
             made = create_dataset(store, name, refs, version=version, note=note, attachments=_files(run, outcome))
-        except DatasetExists:  # another run was first: what it published is what to compare with
+        except DatasetExists:  # another run was first: compare with its version
             continue
         new = "" if before is None else f"; what is new: pasdedeux diff {before.label} {made.label} --store {store}"
         return Published(name, f"{made.label} is published{new}", made)
 
 
 def refuse_unpublished(published: Published | None) -> None:
-    """Fail where a verdict forbids publishing.
+    """Fail if a verdict prevents publishing.
 
     Raises:
         VerdictError: Says which, with the figure.
@@ -108,7 +108,7 @@ def refuse_unpublished(published: Published | None) -> None:
 
 
 def refuse_bad_verdicts(run: Run, outcome: Outcome, worst: Level) -> None:
-    """Fail if a verdict on a product of a run, fresh ones included, is at least so bad.
+    """Fail if a verdict on a product of a run, fresh ones included, is this bad or worse.
 
     Raises:
         VerdictError: Says which, with the figure.
@@ -127,7 +127,7 @@ def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:
 
 
 def _files(run: Run, outcome: Outcome) -> dict[str, bytes]:
-    """Return what goes with the artifacts: the study, the environment, the card."""
+    """Return the files of a version: study, environment, card."""
     card = None if outcome.report is None else outcome.report / "card.md"
     return {
         STUDY_FILE: canonical_json(run.study.resolved()),

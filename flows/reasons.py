@@ -1,4 +1,4 @@
-"""Why a shard is stale, in words: the shard now against the shard of the last run."""
+"""Explains why a shard is stale, by comparing it with the shard of the last run."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from storage_schema.keys import plain_json
 from tasks.facts import TakeFacts, facts_of
 from tasks.stage import Shard, Stage
 
-_MAX_NAMED = 3  # differences named one by one; more are counted
-MAX_CHARACTERS = 40  # of a value that is shown
+_MAX_NAMED = 3  # differences that are named; more are counted
+MAX_CHARACTERS = 40  # of a displayed value
 
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage as the last run recorded it: its shards (None when it never ran), and the sections of the study then."""
+    """The last run's record of a stage: its shards (None if it never ran), and the sections of its study."""
 
     shards: Sequence[ShardRecord] | None
     sections: Mapping[str, Any]
 
 
 class Reasons:
-    """Explains why shards of a stage have to be computed; what they share is compared once.
+    """Explains why shards of a stage have to be computed; common settings are compared once.
 
     Args:
         stage: The stage.
@@ -45,7 +45,7 @@ class Reasons:
         self._settings = [w for name, values in known.items() for w in _changes(last.sections[name], values, name)]
 
     def why_not_fresh(self, shard: Shard) -> tuple[bool, str]:
-        """Return whether a shard without a valid artifact is stale (else it is missing), and why, in words."""
+        """Return whether a shard without a valid artifact is stale (else missing), and the reason."""
         if self._is_new:
             return False, "never built"
         old = self._old.get((shard.partition, shard.name))
@@ -70,7 +70,7 @@ class Reasons:
         return True, _listed(words) if words else "store schema or program changed"
 
     def _input_changes(self, old: ShardRecord, shard: Shard) -> list[str]:
-        """Name the inputs that changed; many of them by stage only.
+        """Return the changed inputs in words; many of them by stage only.
 
         Artifacts of the shard's own stage are those it comes after: manifests record them, a plan has only their keys.
         """
@@ -89,19 +89,19 @@ class Reasons:
 
 
 def changed_leaves(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> dict[str, tuple[str, str]]:
-    """Return the leaves of two JSON objects that differ, as JSON texts by path; a leaf that is not there is empty."""
+    """Return the leaves that differ between two JSON objects, as JSON text by path; an absent leaf is empty."""
     before, after = (_leaves(prefix, plain_json(dict(values))) if values else {} for values in (old, new))
     pairs = {name: (_text(before, name), _text(after, name)) for name in dict.fromkeys([*after, *before])}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
 def shorten(text: str) -> str:
-    """Return a text as it is shown: the beginning of a long one."""
+    """Return a text, cut for display."""
     return text if len(text) <= MAX_CHARACTERS else text[: MAX_CHARACTERS - 3] + "..."
 
 
 def _described(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:
-    """Return for each input artifact, by key, its record and its name: `take 60_03`, else stage and partition."""
+    """Return the record and the name of each input artifact, by key: `take 60_03`, else stage and partition."""
     described = {}
     for manifest in manifests:
         place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)
@@ -112,7 +112,7 @@ def _described(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, st
 
 
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "", *, has_values: bool = True) -> list[str]:
-    """Name the leaves that differ: `chains.num_chains 2 -> 4`, without values `file a.bvh changed`."""
+    """Return the leaves that differ in words: `chains.num_chains 2 -> 4`, without values `file a.bvh changed`."""
     return [
         f"{name} is {'gone' if before else 'new'}"
         if not (before and after)

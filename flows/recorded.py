@@ -1,4 +1,4 @@
-"""What is on record of a finished run, or of a version of a dataset: its study, what it ran on, all its artifacts."""
+"""The record of a finished run or of a version of a dataset: its study, environment and artifacts."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from storage_schema.datasets import open_dataset
 from storage_schema.runs import STUDY_FILE
 
 Place = tuple[str, str, str]
-"""Where an artifact stands in a study: stage, partition, shard."""
+"""Place of an artifact in a study: stage, partition, shard."""
 
 _PATH = re.compile(r'"(/[^"|\n]+)')
-"""A path as JSON has it, also one that a table has cut short."""
+"""A path in JSON, also if a table cuts it."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A run or a version of a dataset: the resolved study, what it ran on, its artifacts by place, and their sources.
+    """A run or a version of a dataset: resolved study, environment, artifacts by place, and credits of sources.
 
     The artifacts are all that it was computed from, each after what it reads; `named` are the stages whose artifacts it
     names itself, all of them, while of other stages it may need a part.
@@ -99,14 +99,14 @@ def _finished_run(store: Store, name: str) -> Path:
 
 
 def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place, Manifest]:
-    """Return these artifacts and all that they were computed from by their places, each after what it reads.
+    """Return these artifacts and all their ancestors by place, each after its inputs.
 
     Raises:
         PlanError: Two artifacts stand at one place: they are of several runs.
         MissingArtifact, CorruptArtifact: One of them is no longer whole in the store.
     """
     manifests: dict[ArtifactRef, Manifest] = {}
-    waiting = deque(refs)  # those that are named come first: an input may be one of them under an older key
+    waiting = deque(refs)  # named ones first: an input may be one of them under an older key
     while waiting:
         ref = waiting.popleft()
         if ref not in manifests:
@@ -127,12 +127,12 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
 
 
 def read_environment(store: Store, run_id: str) -> dict[str, Any]:
-    """Return what a run ran on; PlanError where that cannot be read."""
+    """Return the environment of a run; PlanError if it cannot be read."""
     return _read(open_run(store, run_id).path, ENVIRONMENT_FILE)
 
 
 def environment_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Return what two runs ran on that differs, as texts by name; of the processor's features those only one has."""
+    """Return the differences of two environments, as text by name; of processor features those that one lacks."""
     features = [set(values.get("processor", {}).get("features", ())) for values in (old, new)]
     changes = changed_leaves(old, new)
     if all(features) and changes.pop("processor.features", None) is not None:
@@ -142,7 +142,7 @@ def environment_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[
 
 
 def portable_files(folder: Path) -> dict[str, bytes]:
-    """Return the files that go with a dataset as they travel, by name: a path keeps the last parts that identify it.
+    """Return the files of a dataset for other machines, by name: paths are cut to the last parts that identify them.
 
     Where this machine keeps its files is nobody's business, and means nothing elsewhere: there the study reads the same
     names from the folder in which it is built.
@@ -162,7 +162,7 @@ def portable_files(folder: Path) -> dict[str, bytes]:
 
 
 def _run_of(store: Store, refs: Iterable[ArtifactRef], name: str) -> Path:
-    """Return the folder of the last finished run that made or found all of these."""
+    """Return the folder of the last finished run that made or found all these artifacts."""
     for folder in reversed(list_runs(store)):
         is_finished = run_record(store, folder.run_id).get("status") == "finished"
         if is_finished and set(refs).issubset(made_by(store, folder.run_id)):

@@ -1,4 +1,4 @@
-"""Records of a run beside its artifacts: the settings, the plan, the machine, how it ended, the report."""
+"""Records of a run: settings, plan, environment, how it ended, report."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from storage_schema.provenance import code_version, package_versions, source_dig
 from storage_schema.runs import REPORT_PAGE, STUDY_FILE
 
 PLAN_FILE, ENVIRONMENT_FILE = "plan.json", "environment.json"
-"""Files of a run's folder beside the resolved study: what was planned, what it ran on."""
+"""Files of a run's folder beside the resolved study: the plan and the environment."""
 
 _RUN = "run.json"
 _RUNNING = re.compile(rb'"status": *("running")')
 
 
 def read_last_run(store: Store, study: str) -> LatestRun | None:
-    """Return what the last run of a study made; None when there was none or its record cannot be read.
+    """Return the last run of a study; None if there was none or its record cannot be read.
 
     The record only serves to explain: what is fresh is decided by keys.  So one that is damaged, or of an older schema,
     costs words, not work.
@@ -59,7 +59,7 @@ def last_runs(store: Store) -> list[LatestRun]:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Look for no garbage in this block: among 100,000 manifests, which hold no cycles, that takes a third of it."""
+    """Switch off Python's garbage collector in this block: it takes a third of the time for 100,000 manifests."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -71,7 +71,7 @@ def uncollected() -> Iterator[None]:
 
 @uncollected()
 def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ()) -> dict[str, list[Manifest]]:
-    """Return what the last run made and is still there of it, by stage; what was `seen` is not looked for again."""
+    """Return the remaining artifacts of the last run by stage; `seen` manifests are not read again."""
     known = {manifest.ref.key: manifest for manifest in seen}
 
     def look(stage: str, record: ShardRecord) -> Manifest | None:
@@ -87,7 +87,7 @@ def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ())
 
 
 def run_file(store: Store, run_id: str, name: str) -> dict[str, Any]:
-    """Return a JSON file of a run's folder; empty where it is gone or damaged."""
+    """Return a JSON file of a run's folder; empty if it is gone or damaged."""
     try:
         values = json.loads(open_run(store, run_id).read(name))
     except (MissingArtifact, ValueError):
@@ -96,7 +96,7 @@ def run_file(store: Store, run_id: str, name: str) -> dict[str, Any]:
 
 
 def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
-    """Return the resolved study of the last run, section by section; empty when it is gone."""
+    """Return the resolved study of the last run by section; empty if it is gone."""
     return {} if last is None else run_file(store, last.run_id, STUDY_FILE)
 
 
@@ -108,13 +108,13 @@ def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: S
 
 
 def is_on_record(last: LatestRun, stage: str, manifests: Sequence[Manifest]) -> bool:
-    """Return whether a stage consists of these artifacts on record: under their keys, and with their content."""
+    """Return whether the record of a stage has exactly these artifacts, with their keys and content."""
     refs = [manifest.ref for manifest in manifests]
     return last.refs(stage) == refs and [ref.key for ref in last.refs(stage)] == [ref.key for ref in refs]
 
 
 def begin_record(folder: RunFolder, study: str, sections: Mapping[str, Any], plan: Mapping[str, Any]) -> None:
-    """Write what is about to be done: the resolved study, the plan, the machine."""
+    """Write the beginning of a run: the resolved study, the plan, the environment."""
     folder.write(STUDY_FILE, sections)
     folder.write(PLAN_FILE, plan)
     folder.write(ENVIRONMENT_FILE, environment())
@@ -124,7 +124,7 @@ def begin_record(folder: RunFolder, study: str, sections: Mapping[str, Any], pla
 def end_record(
     folder: RunFolder, study: str, status: str, stages: Sequence[Mapping[str, Any]], peak_memory_bytes: int | None
 ) -> None:
-    """Write how the run ended, what it did, stage by stage, and the most memory that a process of it held."""
+    """Write the end of a run: status, outcome by stage, peak memory of a process."""
     said = {"status": status, "stages": list(stages), "peak_memory_bytes": peak_memory_bytes}
     try:
         folder.write(_RUN, {**_identity(folder, study), **said})
@@ -134,7 +134,7 @@ def end_record(
 
 
 def _mark_failed(folder: RunFolder) -> None:
-    """Turn `running` into `failed` in place: on a full disk there is no room for another file."""
+    """Change `running` to `failed` in place, because a full disk has no room for another file."""
     with suppress(OSError), (folder.path / _RUN).open("r+b") as file:
         if (status := _RUNNING.search(file.read())) is not None:
             file.seek(status.start(1))
@@ -142,7 +142,7 @@ def _mark_failed(folder: RunFolder) -> None:
 
 
 def describe_runs(store: Store) -> list[dict[str, str]]:
-    """Return the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
+    """Return the runs of a store, oldest first, with id, study and status (`killed` if the process is gone)."""
     described = []
     for folder in list_runs(store):
         record = run_record(store, folder.run_id)
@@ -156,7 +156,7 @@ def describe_runs(store: Store) -> list[dict[str, str]]:
 
 
 def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
-    """Say why what is on record of these stages is not of one run; empty where it is.
+    """Return why the recorded artifacts of these stages do not belong to one run; empty if they do.
 
     It is one, whoever computed it, where everything that was read is on record too, and where what the last run
     changed was followed to its end.
@@ -167,7 +167,7 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
     records = (run_record(store, folder.run_id) for folder in list_runs(store))
     finished = [record for record in records if (record.get("study"), record.get("status")) == (last.study, "finished")]
     for stage in stages:
-        # What there was of each stage in the run that last saw to this one.
+        # The artifacts of each stage in the last run that built this one.
         runs = ({entry["stage"]: entry for entry in record["stages"]} for record in reversed(finished))
         seen = next((entries for entries in runs if stage in entries), {})
         then = {other: {artifact["content_digest"] for artifact in entry["artifacts"]} for other, entry in seen.items()}
@@ -183,13 +183,13 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
 
 
 def report_folder(store: Store, run_id: str) -> Path | None:
-    """Return the folder of a run's report, None when it has none."""
+    """Return the folder of a run's report; None without one."""
     folder = store.root / "runs" / run_id / "report"
     return folder if run_id and folder.is_dir() else None
 
 
 def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) -> Path | None:
-    """Copy what these artifacts attached (report page, dataset card, clips) into the run's folder."""
+    """Copy the attachments of these artifacts (report page, dataset card, clips) into the run's folder."""
     report = folder.path / "report"
     for ref in refs:
         for name in store.manifest(ref).attachments:
@@ -198,7 +198,7 @@ def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) ->
 
 
 def shown_page(store: Store, study: str, report: Path | None) -> Path | None:
-    """Copy the page of a run's report to where it always is, and return the path to open.
+    """Copy the page of a run's report to its permanent path, and return the path to open.
 
     Where the store cannot be written, that is the page in the run's folder; where there is no page, the folder.
     """
@@ -215,12 +215,12 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
 
 
 def run_record(store: Store, run_id: str) -> dict[str, Any]:
-    """Return how a run ended and what it did; empty where that is gone or damaged."""
+    """Return the record of a run's end; empty if it is gone or damaged."""
     return run_file(store, run_id, _RUN)
 
 
 def made_by(store: Store, run_id: str) -> list[ArtifactRef]:
-    """Return the artifacts that a run made or found, stage by stage; none where that is not on record."""
+    """Return the artifacts that a run made or found, by stage; none without a record."""
     return [
         ArtifactRef(stage["stage"], artifact["key"], artifact["content_digest"])
         for stage in run_record(store, run_id).get("stages", [])
@@ -229,7 +229,7 @@ def made_by(store: Store, run_id: str) -> list[ArtifactRef]:
 
 
 def environment() -> dict[str, Any]:
-    """Return what a run from here runs on, for the record; nothing of it enters a key."""
+    """Return the environment of this process for the record; it enters no key."""
     return {
         "platform": platform.platform(),
         "num_cores": os.cpu_count(),

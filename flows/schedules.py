@@ -1,4 +1,4 @@
-"""Scheduled builds: a study as a deployment of the dataset flow, for a worker of Prefect to run.
+"""Scheduled builds: deploys the dataset flow for a study, to be run by a worker of Prefect.
 
 Importing this module imports Prefect: telemetry is off, and `PREFECT_API_URL` (or a profile) names the server, before.
 """
@@ -28,7 +28,7 @@ _ZOMBIES = "pasdedeux: builds whose process is gone"
 
 
 def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str) -> str:
-    """Put a deployment of the dataset flow on Prefect's server, in place of one of the same name; return its full name.
+    """Create or replace a deployment of the dataset flow on Prefect's server, and return its full name.
 
     A store has a work queue of its own that lets one build run at a time; a build that is due while one of the same
     study waits or runs is not started.  An automation marks builds whose process has vanished as crashed, no others.
@@ -55,7 +55,7 @@ def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: ti
         concurrency_limit=ConcurrencyLimitConfig(limit=1, collision_strategy=ConcurrencyLimitStrategy.CANCEL_NEW),
         work_pool_name=pool,
         work_queue_name=queue,
-        # What runs it imports Prefect before our code, whatever its worker was started with.
+        # The process that runs it imports Prefect before our code.
         job_variables={"env": {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": str(_HEARTBEAT_S), "DO_NOT_TRACK": "1"}},
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
@@ -79,7 +79,7 @@ def _ensure_queue(client: SyncPrefectClient, pool: str, queue: str) -> None:
 
 
 def _ensure_automation(client: SyncPrefectClient) -> None:
-    """Make the automation for builds that stopped to give heartbeats without having ended, or put it right."""
+    """Create or update the automation for builds whose heartbeats stopped before they ended."""
     there = client.read_automations_by_name(_ZOMBIES)
     for automation in there:
         client.update_automation(automation.id, zombies())
@@ -88,7 +88,7 @@ def _ensure_automation(client: SyncPrefectClient) -> None:
 
 
 def zombies() -> AutomationCore:
-    """Return the automation that marks runs of our deployments alone as crashed."""
+    """Return the automation that marks builds as crashed, only those of our deployments."""
     ends = [f"prefect.flow-run.{end}" for end in ("Completed", "Failed", "Cancelled", "Crashed")]
     trigger = EventTrigger(
         match=ResourceSpecification({"prefect.resource.id": "prefect.flow-run.*"}),

@@ -1,4 +1,4 @@
-"""Signals that end a process from outside: Ctrl-C, and those that do the same."""
+"""Signals that end a process: Ctrl-C, SIGTERM and SIGHUP."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from contextlib import contextmanager
 from types import FrameType
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)
-"""With which schedulers of jobs, containers, services and closed terminals end a process."""
+"""Signals by which job schedulers, containers, services and closed terminals end a process."""
 
 
 _is_ending = threading.Event()
-"""Whether one of these came; Prefect puts handlers back that were there before its flow, so they alone do not tell."""
+"""Set when one of these came. Handlers alone do not tell, because Prefect restores those from before its flow."""
 
 
 @contextmanager
 def ended_as_by_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP do in this block what Ctrl-C does; what ignores one of them, as `nohup` does, still does.
+    """Treat SIGTERM and SIGHUP like Ctrl-C in this block, unless one is ignored, as under `nohup`.
 
     They often come together, so further ones are ignored, after this block, too: a second must not break off what the
     first one ends.
@@ -48,7 +48,7 @@ def ended_as_by_ctrl_c() -> Iterator[None]:
 
 @contextmanager
 def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
-    """Give a function that tells whether this process was asked to end in this block, by Ctrl-C, SIGTERM or SIGHUP.
+    """Yield a function that tells whether Ctrl-C, SIGTERM or SIGHUP came in this block.
 
     A second Ctrl-C is as if there were no block; after one of the others they are ignored, after this block, too.
 
@@ -60,8 +60,8 @@ def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
         yield lambda: False
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING)}
-    # What is ignored, as Ctrl-C in the background of a shell, stays so for work that it would break off.  What ends
-    # a process without a word is no handler of ours: SIGTERM and SIGHUP have one below the command line.
+    # An ignored signal, such as Ctrl-C in the background of a shell, stays ignored. SIGTERM and SIGHUP are handled
+    # only below the command line, which has handlers for them.
     taken = [number for number, handler in before.items() if callable(handler)]
     if not is_passed_on and signal.SIGINT not in taken:
         taken.append(signal.SIGINT)

@@ -25,7 +25,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
 class StudyHead(BaseModel):
-    """The `[study]` section: what the study is called, its seed, and the stages it stops at."""
+    """The `[study]` section: name, seed, and stages to build."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -50,7 +50,7 @@ class StudyHead(BaseModel):
 
 
 class PublishSettings(Settings):
-    """The `[publish]` section: a run of the whole study becomes a version of a dataset where no verdict forbids it."""
+    """The `[publish]` section: a run of the whole study becomes a version of a dataset unless a verdict prevents it."""
 
     name: str | None = Field(
         None, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="Name of the dataset; the study's when not given"
@@ -84,7 +84,7 @@ class Study(BaseModel):
         return self.head.name
 
     def resolved(self) -> dict[str, Any]:
-        """Return the whole study as JSON values, as it could have been written in its file."""
+        """Return the whole study as JSON values, as it could stand in a file."""
         sections = {name: section.model_dump(mode="json") for name, section in self.shared.items()}
         for name in self.parameters:
             sections |= self.sections_of(name)
@@ -92,7 +92,7 @@ class Study(BaseModel):
         return {HEAD: self.head.model_dump(mode="json"), **sections, **published}
 
     def sections_of(self, stage: str) -> dict[str, dict[str, Any]]:
-        """Return the settings of a stage as JSON values, by section: its own and those that it shares."""
+        """Return the settings of a stage as JSON values: its own section and the shared ones."""
         parameters = self.parameters[stage]
         shared = {name: section for name, section in self.shared.items() if isinstance(parameters, type(section))}
         sections = {name: section.model_dump(mode="json") for name, section in shared.items()}
@@ -108,7 +108,7 @@ def load_study(
     environment: Mapping[str, str] | None = None,
     folder: Path | None = None,
 ) -> tuple[Study, Graph]:
-    """Return a study that ships (by name) or a file (by path), with its overrides, and the graph of its stages.
+    """Load a study that ships (by name) or a file (by path) with overrides, and return it with the graph of its stages.
 
     What is said first wins: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, what it extends,
     the defaults.  Tables are merged, lists replaced.  Relative paths are relative to the file that says them; those of
@@ -131,7 +131,7 @@ def study_from_tree(
     settings: Sequence[str] = (),
     environment: Mapping[str, str] | None = None,
 ) -> tuple[Study, Graph]:
-    """Make a study of what its files say, section by section, with its overrides, as `load_study` does.
+    """Validate the values of a study with its overrides, as `load_study` does.
 
     Args:
         tree: What its files say; overrides are put into it.
@@ -195,7 +195,7 @@ def study_from_tree(
 
 
 def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph: Graph) -> tuple[Study, Graph]:
-    """Make the study of a record again, of these stages: the environment is not asked, no stage is, nothing published.
+    """Restore the study of a record for these stages; the environment is ignored, and nothing is published.
 
     Args:
         sections: What `Study.resolved` gave.
@@ -207,7 +207,7 @@ def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph:
     """
     head = {**sections[HEAD], "stages": list(stages)}
     values = {name: section for name, section in {**sections, HEAD: head}.items() if name != PUBLISH}
-    if "curation" in values:  # what the file said then
+    if "curation" in values:  # the recorded choices stay
         values["curation"] = {**values["curation"], "file": None}
     tree = StudyTree(f"{head['name']} (as it is on record)", values, {(): Path.cwd()})
     study, wanted = study_from_tree(tree, graph, here=Path.cwd(), environment={})
@@ -215,7 +215,7 @@ def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph:
 
 
 def _with_choices(curation: Settings, tree: StudyTree, problems: list[str]) -> Settings:
-    """Return a section of choices with what its file says now."""
+    """Return the section of choices with the current content of its file."""
     assert isinstance(curation, CurationSettings)
     if curation.file is None:
         return curation
@@ -228,12 +228,12 @@ def _with_choices(curation: Settings, tree: StudyTree, problems: list[str]) -> S
 
 
 def shared_keys(parameters: type[BaseModel], shared: Iterable[type[BaseModel]]) -> set[str]:
-    """Return the keys of a stage's parameters that stand in a section that stages share."""
+    """Return the keys of a stage's parameters that are in shared sections."""
     return {name for model in shared if issubclass(parameters, model) for name in model.model_fields}
 
 
 def _validate(model: type[M], values: Any, section: str, problems: list[str]) -> M | None:
-    """Build a section's model, or add what is wrong with it in words."""
+    """Build a section's model, or add its errors to `problems`."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -243,7 +243,7 @@ def _validate(model: type[M], values: Any, section: str, problems: list[str]) ->
 
 
 def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
-    """Say one validation error as a sentence with the full path of the key."""
+    """Return a validation error as a sentence with the full path of the key."""
     location = [str(step) for step in item["loc"]]
     path = ".".join([section, *location])
     if item["type"] == "extra_forbidden":
@@ -279,7 +279,7 @@ def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple
 
 
 def models_in(annotation: Any, path: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
-    """Return the models that a value of this type is made of, each with the path of its keys."""
+    """Yield the models inside a type, each with the path of its keys."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield path, annotation
         return

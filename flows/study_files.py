@@ -1,4 +1,4 @@
-"""Files of studies: those that ship and those of a user, what each takes over from the one it extends, overrides."""
+"""Files of studies, shipped or the user's: reads them with the studies that they extend, and applies overrides."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class StudyError(Exception):
 
 @dataclass
 class StudyTree:
-    """The unchecked values of a study: its own file, the one it extends, and overrides, merged.
+    """The merged, unchecked values of a study: its file, the studies that it extends, and overrides.
 
     Args:
         label: What to call the study in messages.
@@ -55,7 +55,7 @@ class StudyTree:
         return next(self.folders[key] for i in range(len(path), -1, -1) if (key := tuple(path[:i])) in self.folders)
 
     def merge(self, values: Mapping[str, Any], folder: Path, path: tuple[str, ...] = ()) -> None:
-        """Put tables over those that are here, table by table; lists and single values take the place of what was."""
+        """Merge tables into this one key by key; lists and single values are replaced."""
         node: Any = self.values
         for step in path:
             node = node[step]
@@ -67,7 +67,7 @@ class StudyTree:
                 self._say_folder((*path, name), folder)
 
     def override(self, settings: Sequence[str], environment: Mapping[str, str], here: Path) -> list[str]:
-        """Put overrides in, those of the environment first; gives what is wrong with them, in words."""
+        """Apply overrides, those of the environment first, and return their errors."""
         problems: list[str] = []
         for path, value, origin in _overrides(settings, environment, problems):
             problem = _put(self.values, path, value)
@@ -85,7 +85,7 @@ class StudyTree:
 
 
 def shipped_studies() -> dict[str, str]:
-    """Return the text of every study that comes with the package, by name."""
+    """Return the text of every study that ships, by name."""
     folder = resources.files("flows").joinpath("studies")
     files = sorted((item for item in folder.iterdir() if item.name.endswith(".toml")), key=lambda item: item.name)
     return {item.name.removesuffix(".toml"): item.read_text(encoding="utf-8") for item in files}
@@ -97,7 +97,7 @@ def study_text(name_or_path: str, here: Path) -> str:
 
 
 def read_study_tree(name_or_path: str, here: Path) -> StudyTree:
-    """Read a study that ships (by name) or a file (by path), with all that it extends.
+    """Read a study that ships (by name) or a file (by path), with all studies that it extends.
 
     Relative paths start from the file that says them, those of a study that ships from `here`.  The name and the title
     of a study are its own, and so is what it publishes.
@@ -111,7 +111,7 @@ def read_study_tree(name_or_path: str, here: Path) -> StudyTree:
 
 
 def unknown(path: str, known: Sequence[str], name: str | None = None) -> str:
-    """Say that a name is unknown, with the nearest known name or all of them."""
+    """Return the message for an unknown name, with the nearest known name or all of them."""
     near = difflib.get_close_matches(name or path, known, n=1, cutoff=0.5)
     if near:
         return f"{path}: unknown; did you mean {near[0]}?"
@@ -119,7 +119,7 @@ def unknown(path: str, known: Sequence[str], name: str | None = None) -> str:
 
 
 def _merge_study(tree: StudyTree, said: str, here: Path, folder: Path, children: tuple[str, ...]) -> None:
-    """Put a study into a tree, over what it extends.
+    """Merge a study into a tree, after the studies that it extends.
 
     Args:
         tree: Where to.
@@ -151,7 +151,7 @@ def _merge_study(tree: StudyTree, said: str, here: Path, folder: Path, children:
 
 
 def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path, str]:
-    """Return a study's text, the folder its relative paths start from, and what to call it in messages."""
+    """Return a study's text, the folder of its relative paths, and its name in messages."""
     shipped = shipped_studies()
     if said in shipped:
         return shipped[said], here, said
@@ -168,7 +168,7 @@ def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path,
 def _overrides(
     settings: Sequence[str], environment: Mapping[str, str], problems: list[str]
 ) -> Iterator[tuple[tuple[str, ...], Any, str]]:
-    """Return the overrides, weakest first, as (path, value, origin)."""
+    """Yield the overrides, weakest first, as (path, value, origin)."""
     for variable in sorted(environment):
         if variable.startswith(ENVIRONMENT_PREFIX):
             path = tuple(variable.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"))
@@ -183,7 +183,7 @@ def _overrides(
 
 
 def toml_value(text: str) -> Any:
-    """Read a value as TOML would (4, 0.5, true, [1, 2], "text"); anything else is text as it stands."""
+    """Parse a value as TOML (4, 0.5, true, [1, 2], "text"); anything else is text."""
     try:
         return tomllib.loads(f"value = {text.strip()}")["value"]
     except tomllib.TOMLDecodeError:
@@ -191,7 +191,7 @@ def toml_value(text: str) -> Any:
 
 
 def _put(tree: dict[str, Any], path: tuple[str, ...], value: Any) -> str:
-    """Put a value at a path of tables and list positions; the problem in words, or nothing."""
+    """Set a value at a path of tables and list positions; return the problem, or an empty text."""
     node: Any = tree
     for depth, step in enumerate(path, start=1):
         key: str | int = step

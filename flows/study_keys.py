@@ -1,4 +1,4 @@
-"""Every key of a study, with type, default, unit and meaning: read from the models of the sections."""
+"""All keys of a study with type, default, unit and meaning, from the models of the sections."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _BOUNDS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 @dataclass(frozen=True)
 class StudyKey:
-    """One key: its path as `--set` takes it (N is a position in a list, NAME a name of your own), and what it is.
+    """A key: its path for `--set` (N is a position in a list, NAME a name of your own), and its description.
 
     `default` is a JSON value; `is_needed` tells that there is none.
     """
@@ -41,7 +41,7 @@ class StudyKey:
 
 
 def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
-    """Return the keys of a section, of all when None, in the order of the models; none for an unknown section."""
+    """Return the keys of a section or of all, in the order of the models; none for an unknown section."""
     models: dict[str, type[BaseModel]] = {HEAD: StudyHead, PUBLISH: PublishSettings, **graph.shared}
     elsewhere: set[str] = set()
     for stage in graph.stages:
@@ -52,7 +52,7 @@ def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
 
 
 def _keys_of(model: type[BaseModel], path: str, told: dict[type[BaseModel], str]) -> Iterator[StudyKey]:
-    """Yield the keys of a table; those that another table of the section has from the same model are said once."""
+    """Yield the keys of a table; keys of a model that occurs again in the section are listed once."""
     again: dict[str, list[str]] = {}
     for name, field in model.model_fields.items():
         if field.json_schema_extra is NOT_A_KEY:
@@ -85,7 +85,7 @@ def _declaring(model: type[BaseModel], name: str) -> type[BaseModel]:
 
 
 def _type_words(annotation: Any) -> str:
-    """Return a type as a reader of TOML would call it."""
+    """Return the name of a type for readers of TOML."""
     origin, arguments = get_origin(annotation), [a for a in get_args(annotation) if a not in (Ellipsis, NoneType)]
     if origin is Literal:
         return " or ".join(to_jsonable_python(argument, fallback=str).__repr__() for argument in arguments)

@@ -139,7 +139,7 @@ def _joint_lines_of(store: Store, text: str) -> list[str]:
 
 
 def _score_lines(store: Store, text: str, asked_rows: int | None) -> Iterator[str]:
-    """Return scores as a table a topic: means over items where there are several, the best of a row with a star."""
+    """Yield the scores of each topic as a table, of means if there are several items, with a star at the best."""
     topics: dict[str, list[Score]] = {}
     for batch in iter_rows(text, store):
         for index in range(batch.num_rows):

@@ -1,4 +1,4 @@
-"""A version of a dataset as one folder that any tool opens; `docs/datasets.md` says what lies where."""
+"""A version of a dataset as one folder that any tool opens; `docs/datasets.md` describes its files."""
 
 from flows.dataset_folder.reading import read_folder, rebuild_folder
 from flows.dataset_folder.writing import write_folder

@@ -1,4 +1,4 @@
-"""What goes into a dataset's folder: artifacts that may leave, rows that nobody rejected, and the side they are on."""
+"""Selects the contents of a dataset's folder: artifacts that may be shared, without rejected rows, and their splits."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _FORBIDS = re.compile(
     r"not stated|\b(no|not|without|forbid\w*|prohibit\w*)\b.{0,20}\bre-?distribut|all rights reserved|internal use",
     re.I,
 )
-"""Words of a licence that lets nothing leave; so does one that is not stated."""
+"""Words of a licence that forbids sharing; an unstated licence forbids it too."""
 _OF_VARIANTS = ("variants", "variant_quality", "variant_frames")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Rows of an artifact's part of a table that become one row group, of about so many bytes; `clip` names a clip."""
+    """Rows of a table of an artifact that become one row group, with their approximate size; `clip` names a clip."""
 
     table: str
     split: SplitName
@@ -49,7 +49,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Contents:
-    """What goes into a folder.
+    """The contents of a folder.
 
     Args:
         dataset: The dataset as it leaves: artifacts and sources that may.
@@ -73,7 +73,7 @@ class Contents:
 def find_contents(
     store: Store, dataset: Dataset, *, withheld: Collection[str] = (), known: Mapping[str, Side] | None = None
 ) -> Contents:
-    """Return what of a dataset may leave, and all of that which it was computed from.
+    """Return the artifacts of a dataset that may be shared, with all their ancestors.
 
     Left out is what came from a source whose licence forbids it, is not stated, or that is `withheld`; takes that fail
     and what a person rejected; and all that was computed from such a source, take or sequence.  The evaluation shows
@@ -94,7 +94,7 @@ def find_contents(
         raise PlanError(f"{dataset.label} has no source '{unknown[0]}'; its sources are {', '.join(sorted(names))}")
     staying = [one for one in dataset.sources if one.name in withheld or _FORBIDS.search(one.licence)]
     steps = lineage(store, *dataset.refs)
-    every = {step.ref: store.manifest(step.ref) for step in steps}  # what lies under two keys leaves once
+    every = {step.ref: store.manifest(step.ref) for step in steps}  # the same content under two keys is written once
     choices = recorded_choices(dataset.path)
     tables = {about.partition(" ")[0] for about in choices}
     rejected = {table: _rejected(store, every.values(), table, rejections(choices, table)) for table in tables}
@@ -121,7 +121,7 @@ def find_contents(
         split = _side_of(one, sides, is_held_out=(one.ref.stage, one.ref.content_digest) in tested)
         rows = _kept_rows(store, one, rejected)
         if any(part.rows for part in one.tables.values()) and not any(rows.values()):
-            continue  # all of it was rejected
+            continue  # all its rows were rejected
         manifests.append(_as_it_leaves(store, one, rows, rejected))
         groups += [group for table in rows for group in _groups(store, one, table, rows[table], split)]
     if not groups:
@@ -141,7 +141,7 @@ def find_contents(
 
 
 def cut(batches: Iterable[Any], groups: Sequence[Group]) -> Iterator[Any]:
-    """Yield the rows of each group, which rise, of batches of rows (`pyarrow.Table`) that follow each other."""
+    """Yield the rows of each group, in rising order, from consecutive batches of rows (`pyarrow.Table`)."""
     coming, held, first = iter(batches), None, 0
     for group in groups:
         parts = []
@@ -161,14 +161,14 @@ def _is_take(manifest: Manifest) -> bool:
 
 
 def _rejected(store: Store, manifests: Iterable[Manifest], table: str, named: Mapping[str, str]) -> Collection[str]:
-    """Return the names of what is rejected of a table, whose content is still what was rejected."""
+    """Return the rejected names of a table whose content is unchanged."""
     columns = content_columns(table)
     parts = (one.ref for one in manifests if table in one.tables)
     return rejected_names(named, (rows for ref in parts for rows in store.iter_batches(ref, table, columns=columns)))
 
 
 def _is_rejected(manifest: Manifest, rejected: Mapping[str, Collection[str]]) -> bool:
-    """Tell whether this holds a take or a sequence that was rejected."""
+    """Return whether an artifact holds a rejected take or sequence."""
     takes, sequences = rejected.get("poses", ()), rejected.get("annotations", ())
     if _is_take(manifest) and takes:
         return TakeFacts.of(manifest).take_id in takes
@@ -177,7 +177,7 @@ def _is_rejected(manifest: Manifest, rejected: Mapping[str, Collection[str]]) ->
 
 
 def _with_descendants(roots: set[ArtifactRef], every: Mapping[ArtifactRef, Manifest]) -> set[ArtifactRef]:
-    """Return these artifacts and all that was computed from them."""
+    """Return these artifacts and all their descendants."""
     descendants, before = set(roots), -1
     while len(descendants) != before:
         before = len(descendants)
@@ -186,7 +186,7 @@ def _with_descendants(roots: set[ArtifactRef], every: Mapping[ArtifactRef, Manif
 
 
 def _side_of(manifest: Manifest, sides: Mapping[str, Side], *, is_held_out: bool) -> SplitName:
-    """Return the split of an artifact: the last one of those of the takes that it shows or was made from."""
+    """Return the split of an artifact: the last split among its takes."""
     takes = [TakeFacts.of(manifest).take_id] if _is_take(manifest) else Facts.of(manifest).takes
     split_indices = [SPLITS.index(sides[take].split) for take in takes if take in sides]
     return "test" if is_held_out else SPLITS[max(split_indices, default=0)]
@@ -200,7 +200,7 @@ def _variant_ids(store: Store, manifest: Manifest) -> list[str]:
 
 
 def _kept_rows(store: Store, manifest: Manifest, rejected: Mapping[str, Collection[str]]) -> dict[str, Ranges]:
-    """Return the rows that leave of each table of an artifact; of variants those of each by itself."""
+    """Return the shared rows of each table of an artifact, with a range for each variant."""
     facts = VariantFacts.of(manifest) if "variants" in manifest.tables else None
     ranges: dict[str, Ranges] = {}
     for table, part in manifest.tables.items():
@@ -228,7 +228,7 @@ def _ranges(batches: Iterable[Any], names: Collection[str]) -> Ranges:
 
 
 def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: SplitName) -> Iterator[Group]:
-    """Yield the row groups of a table of an artifact: a clip each, else the rest of the artifact's in pieces."""
+    """Yield the row groups of a table of an artifact: one for each clip, else pieces of its rows."""
     part = manifest.tables[table]
     each = part.bytes / max(part.rows, 1)
     if table == "variants":
@@ -255,7 +255,7 @@ def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: S
 def _as_it_leaves(
     store: Store, manifest: Manifest, rows: Mapping[str, Ranges], rejected: Mapping[str, Collection[str]]
 ) -> Manifest:
-    """Return the manifest without times; of an artifact of which rows stay also without what may name or show them."""
+    """Return the manifest without times, and without anything that names or shows rows that are left out."""
     left = replace(manifest, timings={}, created_at="")
     if all(sum(stop - start for start, stop in rows[table]) == part.rows for table, part in manifest.tables.items()):
         return left
@@ -266,7 +266,7 @@ def _as_it_leaves(
 
 
 def _without(value: Any, names: Collection[str]) -> Any:
-    """Return JSON values without these texts in lists, and without these keys."""
+    """Return JSON values without these names in lists and among keys."""
     if isinstance(value, Mapping):
         return {name: _without(one, names) for name, one in value.items() if name not in names}
     if isinstance(value, list | tuple):

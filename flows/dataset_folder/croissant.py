@@ -1,4 +1,4 @@
-"""Croissant metadata of a dataset's folder (MLCommons Croissant 1.1 with its RAI extension): a record set a table."""
+"""Croissant metadata of a dataset's folder (MLCommons Croissant 1.1 with RAI), with a record set for each table."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _file_object(name: str, file: FolderFile) -> dict[str, Any]:
 
 
 def _file_set(table: str) -> dict[str, Any]:
-    """Return the files of a table: without `containedIn` they lie in the folder itself."""
+    """Return the set of files of a table; without `containedIn` they are in the folder itself."""
     includes = f"data/{table}/*.parquet"
     return {"@type": "cr:FileSet", "@id": table, "name": table, "encodingFormat": _PARQUET, "includes": includes}
 

@@ -1,4 +1,4 @@
-"""What describes a dataset's folder: card, Croissant metadata, splits, skeletons, licences, the record, the page."""
+"""Writes the description of a dataset's folder: card, Croissant metadata, splits, skeletons, licences, record, page."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ from tasks.takes import take_of
 ARTIFACTS_FILE, PAGE = "artifacts.json", "index.html"
 _MAX_PLAYERS = 12
 _HUB_LICENCES = {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0"}
-"""Licences that a card names by these ids; others have a name and a file."""
+"""Ids of licences that a card names directly; others are linked."""
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
 
 
 def describe(
     store: Store, contents: Contents, files: Mapping[str, FolderFile], stats: Mapping[str, Any], folder: Path
 ) -> None:
-    """Write what describes the data files of a folder.
+    """Write the description of the data files of a folder.
 
     Args:
         store: The store that they come from.
@@ -92,12 +92,12 @@ def describe(
 
 
 def attachment_name(manifest: Manifest, name: str) -> str:
-    """Return the name in a folder of a file that an artifact has beside its tables, such as a report."""
+    """Return the path in a folder of an artifact's attachment, such as a report."""
     return f"{RECORD}/files/{manifest.ref.stage}-{manifest.ref.content_digest[:16]}/{name}"
 
 
 def _splits(contents: Contents, clips: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what `splits.json` has."""
+    """Return the content of `splits.json`."""
     there = [split for split in SPLITS if any(clip["split"] == split for clip in clips)]
     by_split = {split: [clip for clip in clips if clip["split"] == split] for split in there}
     return {
@@ -115,7 +115,7 @@ def _card(
     splits: Mapping[str, Any],
     clips: list[dict[str, Any]],
 ) -> str:
-    """Return the card: what the Hub and the library `datasets` read on top, then what people read."""
+    """Return the card: a head for the Hub and the library `datasets`, then text for people."""
     dataset = contents.dataset
     tables: dict[str, dict[str, list[FolderFile]]] = {}
     for name, file in files.items():
@@ -165,7 +165,7 @@ def _card(
 
 
 def _info(table: str, files: Mapping[str, list[FolderFile]]) -> dict[str, Any]:
-    """Return the features and sizes of a table as the library `datasets` has them."""
+    """Return the features and sizes of a table in the form of the library `datasets`."""
     sizes = {split: sum(file.bytes for file in files[split]) for split in SPLITS if split in files}
     return {
         "config_name": table,
@@ -189,7 +189,7 @@ def _feature(column: Column) -> dict[str, Any]:
 
 
 def _licences(dataset: Dataset) -> dict[str, bytes]:
-    """Return the licences of the sources as files: of this program's the text, of others what was said of them."""
+    """Return the licences of the sources as files: the full text of this program's, the stated words of others."""
     licences = {}
     for licence in dict.fromkeys(source.licence for source in dataset.sources):
         name = licence if re.fullmatch(r"[A-Za-z0-9.+-]{1,40}", licence) else f"LicenseRef-{_plain(licence)}"
@@ -204,7 +204,7 @@ def _plain(text: str) -> str:
 
 
 def _own_licence() -> str:
-    """Return the text of the licence of this program, Apache-2.0; empty where it is not installed."""
+    """Return the text of this program's licence, Apache-2.0; empty if the program is not installed."""
     try:
         return distribution("pasdedeux").read_text("licenses/LICENSE") or ""
     except PackageNotFoundError:
@@ -212,7 +212,7 @@ def _own_licence() -> str:
 
 
 def _record(contents: Contents) -> dict[str, bytes]:
-    """Return what the dataset is built again by: study and environment as they travel, its list, its artifacts."""
+    """Return the files for building the dataset again: study, environment, list of artifacts, manifests."""
     dataset = contents.dataset
     files = portable_files(dataset.path)
     there = {name: files[name] for name in (STUDY_FILE, ENVIRONMENT_FILE) if name in files}
@@ -232,11 +232,11 @@ def _lines(contents: Contents, what: str, clips: list[dict[str, Any]]) -> list[s
 
 
 def _pictures(store: Store, contents: Contents, clips: list[dict[str, Any]]) -> list[Any]:
-    """Return players of some variants, evenly spread, or of takes where there are none."""
+    """Return players of some variants, evenly spread, or of takes if there are no variants."""
     takes = {TakeFacts.of(one).take_id: one for one in contents.with_table("poses")}
     batches = {group.clip: group.ref for group in contents.groups if group.table == "variants"}
     pictures = []
-    shown = [clip for clip in clips if clip["variant_id"] is not None] or clips  # a variant is beside its take
+    shown = [clip for clip in clips if clip["variant_id"] is not None] or clips  # with their takes
     for clip in (shown[at] for at in evenly_spread(len(shown), _MAX_PLAYERS)):
         source = Clip(clip["take_id"], takes[clip["take_id"]], store)
         if clip["variant_id"] is not None:

@@ -1,4 +1,4 @@
-"""The manifest of a dataset's folder, the file that is written last: what the folder has, and what its parts are of."""
+"""The manifest of a dataset's folder, which is written last: its files, and the artifacts that they come from."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tasks.sides import Side
 MANIFEST, RECORD, SPLITS_FILE = "manifest.json", "record", "splits.json"
 
 PartKey = tuple[str, str, Ranges]
-"""What a row group is of: stage and content digest of the artifact, and its rows; of contacts of a take none."""
+"""Origin of a row group: stage and content digest of the artifact, and its rows; no rows for contacts of a take."""
 
 
 @dataclass(frozen=True)
 class FolderFile:
-    """A file of a folder; of a data file also its rows, and what each of its row groups is of."""
+    """A file of a folder; for a data file also its number of rows and the origin of each row group."""
 
     bytes: int
     sha256: str
@@ -33,7 +33,7 @@ class FolderFile:
 
 @dataclass(frozen=True)
 class FolderManifest:
-    """What a folder holds: files by their names in it, and the names of sources that were withheld from it."""
+    """The contents of a folder: files by name, and the names of withheld sources."""
 
     name: str
     version: str
@@ -47,12 +47,12 @@ class FolderManifest:
         return f"{self.name}@{self.version}"
 
     def to_json(self) -> bytes:
-        """Return it as its file has it."""
+        """Return the bytes of its file."""
         return json_file({"schema_version": SCHEMA_VERSION, **asdict(self)})
 
 
 def read_manifest(folder: Path) -> FolderManifest | None:
-    """Return the manifest of a dataset's folder; None where there is none.
+    """Return the manifest of a dataset's folder; None without one.
 
     Raises:
         CorruptArtifact: It cannot be read, or names files elsewhere.

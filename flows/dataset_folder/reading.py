@@ -1,4 +1,4 @@
-"""Brings a dataset's folder into a store, and builds it again from its record."""
+"""Reads a dataset's folder into a store, and builds it again from its record."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _Place = tuple[str, int]
 
 
 def is_folder(name: str) -> bool:
-    """Tell whether this is the path of a dataset's folder."""
+    """Return whether this is the path of a dataset's folder."""
     return read_manifest(Path(name)) is not None
 
 
 def read_folder(folder: Path, store: Store) -> tuple[Dataset, int]:
-    """Bring a dataset's folder into a store.
+    """Read a dataset's folder into a store.
 
     An artifact that is whole in the folder has the bytes that it had; one of which rows were left out, or an input, is
     another there, with a key and a digest of its own.
@@ -79,7 +79,7 @@ def read_folder(folder: Path, store: Store) -> tuple[Dataset, int]:
 
 
 def read_record(folder: Path) -> tuple[Dataset, dict[str, bytes]]:
-    """Return the list of a folder's dataset, and the files that go with it by name: the study, the environment."""
+    """Return a folder's dataset and its files by name: study and environment."""
     record = folder / RECORD
     listed = dataset_from_json((record / DATASET_FILE).read_bytes, record)
     return listed, {
@@ -88,7 +88,7 @@ def read_record(folder: Path) -> tuple[Dataset, dict[str, bytes]]:
 
 
 def read_recorded_folder(folder: Path) -> Recorded:
-    """Return what is on record of a folder's dataset; PlanError where its study is not."""
+    """Return the record of a folder's dataset; PlanError if it lacks the study."""
     listed, files = read_record(folder)
     if missing := [name for name in (STUDY_FILE, ENVIRONMENT_FILE) if name not in files]:
         raise PlanError(f"{folder / RECORD / missing[0]} is not there, so the dataset cannot be built again")
@@ -99,7 +99,7 @@ def read_recorded_folder(folder: Path) -> Recorded:
 
 
 def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) -> list[str]:
-    """Write a folder again from artifacts that were built anew, and return the names of the files that differ.
+    """Write a folder again from rebuilt artifacts, and return the names of the files that differ.
 
     Afterwards the store has the dataset of this name and version.
 
@@ -108,7 +108,7 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
     """
     manifest = _checked(folder)
     listed, files = read_record(folder)
-    order = {ref: at for at, ref in enumerate(listed.refs)}  # the plan may list its stages in another
+    order = {ref: at for at, ref in enumerate(listed.refs)}  # the plan may order stages differently
     refs = tuple(sorted(refs, key=lambda ref: order.get(ref, len(order))))
     names = {source.name for source in listed.sources}
     sources = merge_credits(listed.sources, (one for one in source_credits(store, *refs) if one.name not in names))
@@ -123,7 +123,7 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
         )
     every = {*manifest.files, *again.files}
     if [one.ref for one in _artifacts(folder)] == [one.ref for one in contents.manifests]:
-        every -= {f"{RECORD}/{ARTIFACTS_FILE}"}  # of the same content, though another program or machine made them
+        every -= {f"{RECORD}/{ARTIFACTS_FILE}"}  # the same content, from another program or machine
     return [name for name in sorted(every) if _sha256(manifest, name) != _sha256(again, name)]
 
 
@@ -132,7 +132,7 @@ def _sha256(manifest: FolderManifest, name: str) -> str:
 
 
 def _checked(folder: Path) -> FolderManifest:
-    """Return the manifest of a folder whose files are what it says."""
+    """Return the manifest of a folder, after checking its files."""
     manifest = read_manifest(folder)
     if manifest is None:
         raise PlanError(f"{folder} is no folder of a dataset; `pasdedeux dataset write` writes one")
@@ -170,7 +170,7 @@ def _read_group(folder: Path, table: str, place: _Place) -> Any:
 
 
 def _in_order(artifacts: list[Manifest]) -> Iterator[Manifest]:
-    """Yield artifacts after those that they were computed from."""
+    """Yield artifacts after their inputs."""
     waiting = {one.ref: one for one in artifacts}
     while waiting:
         ready = [one for one in waiting.values() if waiting.keys().isdisjoint(one.inputs)]
@@ -182,7 +182,7 @@ def _in_order(artifacts: list[Manifest]) -> Iterator[Manifest]:
 
 
 def _parts_of(manifest: FolderManifest) -> dict[tuple[str, str, str], list[_Place]]:
-    """Return where the rows of each artifact's part of a table lie, in their order: by stage, content and table."""
+    """Return the row groups of each artifact's table in order, by stage, content and table."""
     parts = defaultdict[tuple[str, str, str], list[tuple[Any, _Place]]](list)
     for name, file in manifest.files.items():
         for number, (stage, digest, rows) in enumerate(file.parts):
@@ -198,7 +198,7 @@ def _bring(
     folder: Path,
     store: Store,
 ) -> tuple[ArtifactRef, bool]:
-    """Put an artifact of a folder into a store, and tell whether it was not there."""
+    """Put an artifact of a folder into a store, and return whether it is new there."""
     inputs = tuple(known[ref] for ref in recorded.inputs if ref in known)
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         tables = {}

@@ -1,4 +1,4 @@
-"""Figures of the positions of a dataset's folder, by which windows are normalised: `stats.json`."""
+"""Statistics of the positions in a dataset's folder, for normalisation: `stats.json`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pasdedeux.skeletons import BODY22
 Numbers = npt.NDArray[np.float64]
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _MOST_ROWS = 100_000
-"""Rows that quantiles are of, at most: they are kept in memory."""
+"""Largest number of rows for quantiles, which are kept in memory."""
 
 
 @dataclass
@@ -28,7 +28,7 @@ class Figures:
     kept: list[npt.NDArray[np.float32]] = field(default_factory=list)
 
     def add(self, rows: Numbers) -> None:
-        """Add rows; none is nothing."""
+        """Add rows, if there are any."""
         if len(rows):
             new = [rows.sum(0), np.square(rows).sum(0), rows.min(0), rows.max(0)]
             both = zip((np.add, np.add, np.minimum, np.maximum), self.sums or new, new, strict=True)
@@ -37,7 +37,7 @@ class Figures:
             self.count += len(rows)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures, six digits after the point."""
+        """Return the figures with six decimals."""
         if not self.count:
             return {"count": 0}
         total, squares, least, greatest = self.sums
@@ -68,7 +68,7 @@ def figures_of_motions(clips: Iterable[tuple[Numbers, float]], num_rows: int) ->
 
 
 def contact_figures(held: Mapping[str, Numbers], num_frames: Mapping[str, int]) -> dict[str, Any]:
-    """Return the share of frames in which each bone is held, of all takes.
+    """Return the share of frames in which each bone is in contact, over all takes.
 
     Args:
         held: Frames in which each bone (22,) is held by a contact, by take, of anybody.

@@ -1,4 +1,4 @@
-"""Writes a dataset's folder: its Parquet files, each whole or not there, what describes them, and the manifest last.
+"""Writes a dataset's folder: Parquet files, each complete or absent, their description, and the manifest last.
 
 All of it grows in `.NAME.part` beside the folder, whose place it takes in one step.  Who is interrupted leaves whole
 files there, and the same command goes on after them.  An update links the files that stay.
@@ -47,16 +47,16 @@ from tasks.sides import SPLITS
 from tasks.takes import read_rest, read_take, take_of
 
 FILE_BYTES = 100_000_000
-"""Size of a data file, about: a file ends with the row group that reaches it."""
+"""Approximate size of a data file: it ends with the row group that reaches this."""
 _CONTACT_BYTES = 400
-"""Of a frame of a person, about."""
+"""Approximate size of the contacts of a person in a frame."""
 _MOTIONS = ("poses", "variants")
 _PART = ".part"
 
 
 @dataclass(frozen=True)
 class DataFile:
-    """A data file: its name, its row groups, and its name in the folder where it stands there already."""
+    """A data file: its name, its row groups, and its previous name if the folder has it already."""
 
     name: str
     groups: tuple[Group, ...]
@@ -64,13 +64,13 @@ class DataFile:
 
     @property
     def table(self) -> str:
-        """Return the table that it is a part of."""
+        """Return its table."""
         return self.groups[0].table
 
 
 @dataclass(frozen=True)
 class Written:
-    """What was written: the folder's manifest, the names of the files that are new, what was left out, in sentences."""
+    """A written folder: its manifest, the names of new files, and sentences on what was left out."""
 
     manifest: FolderManifest
     new: tuple[str, ...]
@@ -80,7 +80,7 @@ class Written:
 def write_folder(
     store: Store, dataset: Dataset, out: Path, *, since: str = "", withheld: Collection[str] = ()
 ) -> Written:
-    """Write a version of a dataset as a folder, or what is new in one that has another version.
+    """Write a version of a dataset as a folder, or update a folder with another version.
 
     Args:
         store: The store.
@@ -130,7 +130,7 @@ def write_folder(
 
 @contextmanager
 def _alone(out: Path) -> Iterator[None]:
-    """Let nobody else write this folder in a block."""
+    """Lock this folder against other writers in a block."""
     with locked_file(out, fcntl.LOCK_EX):
         try:
             yield
@@ -139,7 +139,7 @@ def _alone(out: Path) -> Iterator[None]:
 
 
 def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFile]:
-    """Divide row groups into files: those of before all of whose groups are still there, then new ones of 100 MB."""
+    """Divide row groups into files: earlier files whose groups all remain, then new ones of 100 MB."""
     places = defaultdict[tuple[str, str], dict[PartKey, Group]](dict)
     for group in contents.groups:
         places[group.table, group.split][key_of(group)] = group
@@ -151,7 +151,7 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
     files = []
     for (table, split), in_table in sorted(places.items()):
         groups = in_table
-        if table == "contacts":  # a take, then its variants, which have the same contacts
+        if table == "contacts":  # a take, then its variants, which share its contacts
             order = sorted(groups.values(), key=lambda group: (group.clip.partition("/")[0], "/" in group.clip))
             groups = {key_of(group): group for group in order}
         start = f"data/{table}/{split}-"
@@ -173,7 +173,7 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
 
 
 def key_of(group: Group) -> PartKey:
-    """Return what a row group is of."""
+    """Return the origin of a row group."""
     return group.ref.stage, group.ref.content_digest, group.rows
 
 
@@ -186,7 +186,7 @@ def fill(
     kept: Path | None = None,
     withheld: Sequence[str] = (),
 ) -> FolderManifest:
-    """Fill a folder with a dataset, the manifest last; whole files that an interrupted call has left there stay.
+    """Fill a folder with a dataset, the manifest last; complete files of an interrupted call stay.
 
     Args:
         store: The store.
@@ -206,7 +206,7 @@ def fill(
         write_file(begun, b"")
     if (done := read_manifest(part)) is not None:
         return done
-    for path in [*part.iterdir(), part / "data" / "clips"]:  # all but whole data files is written anew
+    for path in [*part.iterdir(), part / "data" / "clips"]:  # everything but complete data files is written again
         if path.is_dir() and path.name != "data":
             shutil.rmtree(path)
         elif path.is_file() and path != begun:
@@ -219,7 +219,7 @@ def fill(
             if file.before and kept is not None:
                 try:
                     os.link(kept / file.before, path)
-                except OSError:  # another file system, or one without links
+                except OSError:  # no links here, or another file system
                     _copy(kept / file.before, path)
             else:
                 _write_whole(path, file, store)
@@ -254,7 +254,7 @@ def fill(
 
 
 def _write_whole(path: Path, file: DataFile, store: Store) -> None:
-    """Write a data file, which has its name when it is whole."""
+    """Write a data file, which gets its name when it is complete."""
     growing = path.with_name(f".{path.name}")
     growing.unlink(missing_ok=True)
     writer = TableWriter(growing, TABLES[file.table])
@@ -278,7 +278,7 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
 
 
 def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Iterator[Any]:
-    """Yield the contacts of a take as rows, or of variants those of the take as each of them holds them."""
+    """Yield the contacts of a take as rows, or for each variant those of its take, measured in the variant."""
     manifest = store.manifest(ref)
     if "variants" not in manifest.tables:
         yield _found_in(store, ref, TakeFacts.of(manifest).contacts)[2]
@@ -297,7 +297,7 @@ def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Ite
 
 @lru_cache(maxsize=4)
 def _found_in(store: Store, take: ArtifactRef, stated: tuple[UserContact, ...]) -> tuple[Source, ContactRows, Any]:
-    """Return a take, its contacts, and these as rows; batches of variants of one take follow it."""
+    """Return a take, its contacts, and these as rows; cached, because batches of variants of one take follow it."""
     facts, source = TakeFacts.of(store.manifest(take)), read_take(store, take).source
     contact_rows = ContactRows.of(source, stated)
     count = len(contact_rows.frame)
@@ -342,7 +342,7 @@ def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], pa
 
 
 def _bodies_of(store: Store, manifest: Manifest) -> dict[str, dict[str, Any]]:
-    """Return of each clip of an artifact whose it is, how long their bones are, and what was thought of it."""
+    """Return take, variant, bone lengths and verdict of each clip of an artifact."""
     if "variants" not in manifest.tables:
         take_id, rest, verdict = TakeFacts.of(manifest).take_id, read_rest(store, manifest.ref), verdict_of(manifest)
         said = (Level.NOT_JUDGED.value, "") if verdict is None else (verdict.level.value, verdict.reason)
@@ -366,7 +366,7 @@ def _bodies_of(store: Store, manifest: Manifest) -> dict[str, dict[str, Any]]:
 
 
 def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str, Any, Any]]:
-    """Yield of each take the frames in which something is held, and the bone of body22 that is (n,), by both sides."""
+    """Yield for each take the frames with contacts and the bones of body22 in contact (n,), of both sides."""
     names = {name: at for at, name in enumerate(BODY22.joint_names)}
     for file in files:
         takes = iter_table(part / file.name, TABLES[file.table], only={"origin": "poses"})
@@ -379,7 +379,7 @@ def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str,
 
 
 def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, Any]:
-    """Return what `stats.json` has: figures by split, table and column."""
+    """Return the content of `stats.json`: figures by split, table and column."""
     manifests = {one.ref: one for one in contents.manifests}
     statistics: dict[str, Any] = {}
 
@@ -390,7 +390,7 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
                 facts = PeopleFacts.of(manifests[group.ref])
                 shape = (facts.num_frames, facts.num_persons)
                 positions = np.asarray(rows["body22_m"], dtype=np.float64)
-                if file.table == "poses":  # person by person
+                if file.table == "poses":  # rows are sorted by person
                     positions = positions.reshape(*shape[::-1], *positions.shape[1:]).swapaxes(0, 1)
                 yield positions.reshape(*shape, *positions.shape[-2:]), facts.rate_hz
 
@@ -413,14 +413,14 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file, which has its name when it is whole."""
+    """Copy a file, which gets its name when it is complete."""
     growing = target.with_name(f".{target.name}")
     shutil.copyfile(source, growing)
     growing.replace(target)
 
 
 def _clear(part: Path, out: Path) -> None:
-    """Remove the folder that was there before; what others have put into it stays in the new one."""
+    """Remove the previous folder; foreign files in it move to the new one."""
     if (old := read_manifest(part)) is not None:
         ours = {Path(name).parts[0] for name in old.files} | {MANIFEST}
         for path in part.iterdir():

@@ -1,4 +1,4 @@
-"""Takes rows out of the store as files of other people's formats, with licence and credits beside them.
+"""Exports rows of the store to files of other formats, with licence and credits.
 
 A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in `EXPORT_FORMATS`.
 """
@@ -47,10 +47,10 @@ EXPORT_FORMATS = {
     "json": "flows.exports.json_pairs",
     "safetensors": "flows.exports.model_weights",
 }
-"""Module of each format, by its name on the command line; imported when it is used, so that help comes at once."""
+"""Module of each format by its name; imported on use, so that help is quick."""
 
 _OWN_SKELETON_TABLES = ("poses", "variants")
-"""Tables whose people leave on the skeleton they came with."""
+"""Tables that are exported on the source's own skeleton."""
 _BY_BLENDER = {"fbx", "usd", "usda", "usdc", "usdz"}
 """Formats that Blender writes from a GLB."""
 _ALL_REJECTED = "'{}': all of it is rejected, so that there is nothing to export; see `pasdedeux curate`"
@@ -115,7 +115,7 @@ def export_reference(
 def export_selection(
     store: Store, text: str, file_format: str, out: Path, *, count: int, **options: Any
 ) -> tuple[list[Path], str]:
-    """Write the pairs that differ most of a study, drawn, grown or filled in; return files and what was selected.
+    """Write a selection of pairs that represents all of a study; return the files and a sentence on the selection.
 
     Raises:
         InputError: The format is not known or holds no table, a study is not named as a whole, or nothing is plausible.
@@ -136,7 +136,7 @@ def export_selection(
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
     refs = resolve(reference, store)
     for table in READS[1:]:
-        with suppress(UnknownReference):  # what has no joint limits of its own is judged by the published ones
+        with suppress(UnknownReference):  # without own joint limits, the published ones apply
             refs += resolve(replace(reference, table=table), store)
     selected = select_pairs(store, tuple(dict.fromkeys(refs)), count)
     if not selected.columns:
@@ -154,14 +154,14 @@ def export_selection(
 
 
 def _is_rejected(row: Mapping[str, Any], choices: Mapping[str, str]) -> bool:
-    """Tell whether somebody rejected a selected pair where it lies, as a draw or as a seed."""
+    """Return whether a selected pair is rejected as a draw or as a seed."""
     table = "draws" if row["origin"] in ("draw", "repaired") else "seeds"
     name = "/".join(str(row[column]) for column in IDENTITY[table])
     return rejections(choices, table).get(name) == content_of(row["pair17_m"])
 
 
 def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
-    """Return a format that heeds these options."""
+    """Return a format that has these options."""
     kind = export_format(name)
     for option in options:
         if option not in kind.options:
@@ -173,11 +173,11 @@ def _format_for(name: str, options: Iterable[str]) -> ExportFormat:
 
 
 def _written(export: Export, kind: ExportFormat, out: Path) -> list[Path]:
-    is_made = export.make_rows is not None  # motion by motion: one without contacts has no rows, and is there
+    is_made = export.make_rows is not None  # a motion without contacts has no rows
     is_chosen = export.choices and (is_made or export.left_out)
     if is_chosen and not any(is_made or batch.num_rows for batch in export.batches()):
         raise InputError(_ALL_REJECTED.format(export.text))
     sources = referenced_credits(export.store, export.reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)
-    credits_path = write_credits(sources, export.refs, export.text, out)  # first: no file lies there without them
+    credits_path = write_credits(sources, export.refs, export.text, out)  # first, so that no file lacks them
     return [*kind.write(replace(export, sources=tuple(sources)), out), credits_path]

@@ -1,4 +1,4 @@
-"""Poses as BVH, a file for each person; those of one pair, as a study reads them back (`seeds.files`)."""
+"""Poses as BVH, a file for each person; a study reads those of a pair as seeds (`seeds.files`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DECIMALS = 8
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write a file for each person, of takes and variants an npz too: degrees, Y up, at the true rate, centimetres."""
+    """Write a file for each person, for takes and variants also an npz: degrees, Y up, true rate, centimetres."""
     rigs = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
     files = CastFiles(export, out, ("BVH files are in centimetres and degrees.",))
     for cast in casts(export):

@@ -1,4 +1,4 @@
-"""Poses as C3D: the joints of everybody of a cast as labelled points."""
+"""Poses as C3D: the joints of all people of a cast as labelled points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of casts: their paths, and the text beside them that says units, axes, rate, joints and what frames are."""
+"""Files of casts: their paths, and a text with their units, axes, rate, joints and frames."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class CastFiles:
         self._paths: list[Path] = []
 
     def is_apart(self, cast: Cast) -> bool:
-        """Return whether a cast is worse than the requested verdict."""
+        """Return whether the verdict on a cast is worse than requested."""
         return cast.level.rank > self._export.verdict.rank
 
     def path(self, cast: Cast, *, suffix: str, who: str = "", said: str = "") -> Path:
-        """Return a path for a cast, or for one person of it, of whom something else may have to be said."""
+        """Return a path for a cast or for one person of it, and keep the sentences about the file."""
         path = self._names.path(*cast.name_parts, suffix=suffix, who=who, is_apart=self.is_apart(cast))
         self._lines[str(path.relative_to(self._out))] = f"{cast.in_words()}; {said}" if said else cast.in_words()
         self._paths.append(path)
@@ -41,6 +41,6 @@ class CastFiles:
         return path
 
     def close(self) -> list[Path]:
-        """Write what someone who finds the files has to know, and return all files."""
+        """Write the text about all files, and return all paths."""
         said = [*self._said, NAMES[self._export.reference.table]]
         return [*self._paths, write_units(self._out, said, self._lines)] if self._paths else []

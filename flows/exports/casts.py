@@ -1,4 +1,4 @@
-"""People in one world over the same frames, read from the store: what every format of poses writes."""
+"""Reads casts from the store: people in one world over the same frames, which all formats of poses write."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ _KEYS = {
     "in_betweens": ("sequence_id", "person_id", "partner_id", "method"),
     "selected_pairs": ("verdict",),
 }
-"""Tables of pairs, each with the columns that tell which pairs are frames of one file."""
+"""Tables of pairs; pairs with the same values in these columns are frames of one file."""
 ANNOTATED = ("motions", "lifted_pairs", "in_betweens")
-"""Tables of what was made from annotations."""
+"""Tables made from annotations."""
 POSED = f"whole {', '.join(MOVING)}; rows of {', '.join(name for name in _KEYS if name != 'selected_pairs')}"
-"""What holds poses, in words."""
+"""Tables with poses, in words."""
 _WHO = "the end of a name is the person, A or B"
 NAMES = {
     "poses": TAKE_NAMES,
@@ -63,19 +63,19 @@ NAMES = {
     "in_betweens": f"Files are named by sequence, people and method; {_WHO}.",
     "selected_pairs": f"Files are named by the verdict; {_WHO}.",
 }
-"""What the names of files mean, by table."""
+"""Meaning of file names, by table."""
 WORLD = "right-handed, Y up"
 CAMERA = "right-handed, x right, y up, z towards the camera"
 _HUMANOID_MAP = BodyMap(
     np.eye(BODY22.num_joints, HUMANOID.num_joints), np.zeros((BODY22.num_joints, HUMANOID.num_joints, 3))
 )
 _NOMINAL_HZ = 30.0
-"""Rate of frames that do not follow each other in time: files want one."""
+"""Stated rate of frames that are no motion, because files need one."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A person as programs draw one.
+    """A person in the form that other programs draw.
 
     Args:
         motion: The motion.
@@ -94,7 +94,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class SeenCast:
-    """What was made from annotations, as their camera sees it.
+    """A cast from annotations, in the view of their camera.
 
     Args:
         sequence_id: The sequence.
@@ -147,7 +147,7 @@ class Cast:
 
     @property
     def name_parts(self) -> tuple[str, ...]:
-        """Return the parts of its files' names: a body scaled as a whole needs no word for that."""
+        """Return the parts of its file names, without the word `uniform`."""
         return tuple(str(part).replace("-uniform-", "-") for part in self.parts)
 
     @property
@@ -157,7 +157,7 @@ class Cast:
 
     @cached_property
     def statures_m(self) -> Array:
-        """Return everybody's stature (person,), metres, by the legs."""
+        """Return the statures (person,), metres, estimated from the legs."""
         return body_height_m(self.skeleton, np.median(bone_lengths(self.skeleton, self.positions_m), axis=0))
 
     def rigs(self, rest_pose: RestPose = "source") -> list[Rig]:
@@ -171,7 +171,7 @@ class Cast:
         return rigs
 
     def in_words(self) -> str:
-        """Say what someone who finds a file of it has to know."""
+        """Return the sentences about its files."""
         count = len(self.positions_m)
         apart = f"{counted(count, 'frame')}, which do not follow each other in time"
         words = (
@@ -181,12 +181,12 @@ class Cast:
 
 
 def holds_poses(reference: Reference) -> bool:
-    """Return whether a reference names poses: of whole motions, or any rows of pairs."""
+    """Return whether a reference names poses: whole motions, or any rows of pairs."""
     return reference.table in _KEYS or (reference.table in MOVING and reference.row is None)
 
 
 def casts(export: Export) -> Iterator[Cast]:
-    """Yield the casts of an export, of motions one at a time."""
+    """Yield the casts of an export, motions one at a time."""
     if export.reference.table in _KEYS:
         yield from _pairs(export)
         return
@@ -198,7 +198,7 @@ def casts(export: Export) -> Iterator[Cast]:
 
 
 def groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np.ndarray]]:
-    """Return which rows (n,) have the same values in some columns, by these values, in the order they come."""
+    """Yield the values of some columns with their rows (n,), in the order of first occurrence."""
     places: dict[tuple[Any, ...], list[int]] = {}
     keys = zip(*(rows[name] for name in columns), strict=True) if columns else [()] * rows.num_rows
     for place, key in enumerate(keys):
@@ -264,7 +264,7 @@ def _rate_hz(export: Export, study_hz: float, source_hz: float) -> float:
 
 
 def _own_rig(person: TakePerson, made: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose, rate_hz: float) -> Rig:
-    """Return a person on the source's own skeleton, at this rate; `wanted_m` (frame, 22, 3) is at that of `made`."""
+    """Return a person on the source's own skeleton at this rate; `wanted_m` (frame, 22, 3) has the rate of `made`."""
     if wanted_m is not None:
         wanted_m = resample_positions(wanted_m, from_hz=made.motion.rate_hz, to_hz=rate_hz)
     made = replace(made, motion=made.motion.resample(rate_hz))
@@ -280,7 +280,7 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     rows = store.read(ref, "motions")
     if not export.all_methods:
         rows = TableData(rows.table, rows.rows.take(product_rows(rows)))
-    # From the axes of a camera that looks down to a world in which people stand upright.
+    # From the axes of a pitched camera to a world in which people stand upright.
     camera = DatabaseCamera(math.radians(MotionFacts.of(store.manifest(ref)).pitch_deg))
     for (sequence_id, method), part, *clip in _kept_parts(rows, export.left_out):
         ids = np.unique(rows["person_id"][part]).tolist()
@@ -320,14 +320,14 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 
 
 def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[Any, ...]]:
-    """Yield video and method, rows that are kept, and where it is cut, as frames between are left out, the part's.
+    """Yield video and method, the kept rows of each part, and its frames if rejected clips cut the video.
 
     A single frame is no motion and is left out.
     """
     is_kept = np.isin(np.arange(rows.num_rows), rows_without(rows, left_out))
     for key, own in groups(rows, "sequence_id", "method"):
         frames = np.unique(rows["frame"][own[is_kept[own]]])
-        gone = np.setdiff1d(rows["frame"][own], frames)  # gaps in which nobody is there are no cuts
+        gone = np.setdiff1d(rows["frame"][own], frames)  # gaps without people are no cuts
         parts = np.split(frames, np.flatnonzero(np.diff(np.searchsorted(gone, frames))) + 1)
         for part in (one for one in parts if len(one) > 1):
             is_part = is_kept[own] & np.isin(rows["frame"][own], part)
@@ -335,7 +335,7 @@ def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[An
 
 
 def _pairs(export: Export) -> Iterator[Cast]:
-    """Yield pairs of one moment: those of one chain, sequence or set of seeds are frames of one cast."""
+    """Yield casts of pairs: those of one chain, sequence or set of seeds are frames of one cast."""
     table, row = export.reference.table, export.reference.row
     is_named = export.all_methods or table not in PRODUCTS
     keys = [name for name in _KEYS[table] if name != "method" or is_named]
@@ -343,7 +343,7 @@ def _pairs(export: Export) -> Iterator[Cast]:
     for ref, rows, labels in _rows_of_pairs(export):
         for key, part in groups(rows, *keys):
             by_pair.setdefault(key, []).append((ref, rows, part, [labels[at] for at in part]))
-    if table in ANNOTATED and row is None:  # stills, each a sequence of its own
+    if table in ANNOTATED and row is None:  # single images, each a sequence
         for key in [key for key, parts in by_pair.items() if sum(len(part) for _, _, part, _ in parts) == 1]:
             (one,) = by_pair.pop(key)
             assert one[0] is not None
@@ -374,7 +374,7 @@ def _pairs(export: Export) -> Iterator[Cast]:
 
 
 def _name_of_row(export: Export, label: str) -> str:
-    """Return the name of the file of one pair: of a seed by its index, as studies name it."""
+    """Return the file name of one pair; seeds are named by their index, as in studies."""
     if export.reference.table == "seeds":
         (rows,) = export.batches()
         return f"seed{rows['seed_index'][0]}"
@@ -383,7 +383,7 @@ def _name_of_row(export: Export, label: str) -> str:
 
 
 def _rows_of_pairs(export: Export) -> Iterator[tuple[ArtifactRef | None, TableData, Sequence[str]]]:
-    """Yield pairs by artifact, each with its reference; those that were selected come from many."""
+    """Yield pairs by artifact, with their references; selected ones come from several artifacts."""
     table = export.reference.table
     if export.selected is not None:
         yield None, export.selected, [str(reference) for reference in export.selected["reference"]]
@@ -401,7 +401,7 @@ def _rows_of_pairs(export: Export) -> Iterator[tuple[ArtifactRef | None, TableDa
 
 
 def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:
-    """Return the verdicts on the chains that draws are of, where the reference names these, too."""
+    """Return the verdicts on the chains of draws, if the reference finds them."""
     levels: dict[tuple[Any, ...], Level] = {}
     with suppress(UnknownReference):
         for ref in resolve(replace(export.reference, table="chain_info", row=None), export.store):
@@ -411,7 +411,7 @@ def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:
 
 
 def _annotated_hz(store: Store, ref: ArtifactRef) -> float:
-    """Return the rate of the annotations that something was made from."""
+    """Return the rate of the annotations of an artifact."""
     return PeopleFacts.of(store.manifest(inputs_with(store, ref, "annotations")[0])).rate_hz or _NOMINAL_HZ
 
 

@@ -20,7 +20,7 @@ _FILE_NAME = "{sequence}/{frame:06d}.png"
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write images, people (`track_id`), names of keypoints, licences and credits; images are named, not written."""
+    """Write image names (no images), people (`track_id`), names of keypoints, licences and credits."""
     rows, names = concatenate(TABLES["annotations"], export.batches()), FileNames(out)
     info = {
         "description": f"{export.text}, exported by pasdedeux; pixels, x right, y down; images are not among the files",
@@ -40,7 +40,7 @@ FORMAT = ExportFormat(_write, lambda reference: reference.table == "annotations"
 
 
 def _content(rows: TableData, part: np.ndarray, layout: str) -> dict[str, list[dict[str, Any]]]:
-    """Return images, annotations and the one category of rows of one layout."""
+    """Return images, annotations and the category of the rows of one layout."""
     images: dict[tuple[str, int], dict[str, Any]] = {}
     annotations = list[dict[str, Any]]()
     is_sized = ~(rows.is_null("image_width_px") | rows.is_null("image_height_px"))

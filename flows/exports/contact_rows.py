@@ -1,4 +1,4 @@
-"""Contacts as rows: who touches whom where, of takes, variants and reconstructed motions, found when they go out."""
+"""Contacts of takes, variants and reconstructed motions as rows, found at export."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tasks.contacts import ContactRows, find_contact_rows
 
 CONTACTS = TABLES["contacts"].name
 _PARTS = {"poses": ("take_id",), "variants": ("take_id", "variant_id"), "motions": ("sequence_id", "method")}
-"""Columns that the parts of a cast's name are."""
+"""Columns of the parts of a cast's name."""
 
 
 def touching(store: Store, reference: Reference) -> tuple[ArtifactRef, ...]:
-    """Return the artifacts with takes, variants and motions that a reference to contacts names.
+    """Return the artifacts with takes, variants and motions for a reference to contacts.
 
     Raises:
         InputError: There is none, or a row is named.
@@ -38,7 +38,7 @@ def touching(store: Store, reference: Reference) -> tuple[ArtifactRef, ...]:
 
 
 def contact_rows(export: Export) -> Iterator[TableData]:
-    """Yield the rows of the table `contacts`, those of one motion at a time."""
+    """Yield the rows of the table `contacts`, one motion at a time."""
     made = TABLES[CONTACTS]
     for table, names in _PARTS.items():
         refs = tuple(ref for ref in export.refs if table in export.store.manifest(ref).tables)
@@ -51,7 +51,7 @@ def contact_rows(export: Export) -> Iterator[TableData]:
 
 
 def _contacts_of(store: Store, cast: Cast) -> ContactRows:
-    """Return the contacts of a motion: of a reconstructed one without objects, and without stated ones."""
+    """Return the contacts of a motion; a reconstructed one has no objects and no stated contacts."""
     assert cast.ref is not None
     name = " ".join(map(str, cast.parts))
     if cast.seen is None:

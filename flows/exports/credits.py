@@ -1,4 +1,4 @@
-"""Licence and credit lines beside files that go out: one text for all that a folder holds, whoever wrote it when."""
+"""Licence and credit lines of exports: one text for all files of a folder, also over several exports."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _ENDS = {"exports": "\n", "sources": "\n\n", "artifacts": "\n"}
 
 
 def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef], text: str, out: Path) -> Path:
-    """Write the licence and credit lines of every source of an export into a folder, beside those that are there."""
+    """Add the licence and credit lines of an export's sources to those of a folder."""
     path = out / CREDITS_NAME
     before = _read(path)
-    ours = list(_OURS.finditer(before))  # several where somebody has joined the texts of two folders
+    ours = list(_OURS.finditer(before))  # several if the texts of two folders were joined
     exports, sources, artifacts = (
         {part for our in ours for part in our[name].split(end)} for name, end in _ENDS.items()
     )
@@ -41,7 +41,7 @@ def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef],
 
 
 def add_notice(path: Path, notice: str) -> None:
-    """Put a notice on top of a text of credits, unless it stands there."""
+    """Put a notice on top of a text of credits, unless the text has it."""
     before = _read(path)
     if notice.strip() not in before:
         _write(path, _with_notice(notice, before))
@@ -52,12 +52,12 @@ def _lines(said: set[str], end: str = "\n") -> str:
 
 
 def _with_notice(notice: str, text: str) -> str:
-    """Join what others wrote and our text."""
+    """Join a notice of others and our text."""
     return "\n\n".join(part.strip("\n") for part in (notice, text) if part.strip()) + "\n"
 
 
 def _write(path: Path, text: str) -> Path:
-    """Put a whole text in the place of the one that is there, which stays where there is no room for it."""
+    """Replace a text; the old one stays if there is no room for the new one."""
     return write_text(path.with_name(f".{path.name}.part"), text).replace(path)
 
 

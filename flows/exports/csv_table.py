@@ -19,7 +19,7 @@ from storage_schema.columns import Column
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write a table: a fixed array as a column for each number, named by its axes; one of varying length as JSON.
+    """Write a table: fixed arrays with a column for each number, named by axes; varying ones as JSON.
 
     `<table>_columns.csv` has a line for each of the table's columns: unit, axes and meaning.
     """

@@ -23,12 +23,12 @@ Rate = Literal["study", "source"]
 POSED_OPTIONS = frozenset({"verdict", "all_methods"})
 """Options of every format of poses."""
 NOT_GOOD = "not_good"
-"""Folder of what has a worse verdict than is asked for."""
+"""Folder of results with a worse verdict than requested."""
 
 
 @dataclass(frozen=True)
 class Export:
-    """What is to be given out.
+    """An export: rows, options and credits.
 
     Args:
         store: Store that holds it.
@@ -72,7 +72,7 @@ class Export:
         )
 
     def batches(self) -> Iterator[TableData]:
-        """Return the rows to be given out, some 10,000 at a time."""
+        """Return the rows to export, some 10,000 at a time."""
         if self.make_rows is not None:
             return self.make_rows(self)
         rows = iter_rows(self.text, self.store) if self.selected is None else iter((self.selected,))
@@ -86,7 +86,7 @@ class Export:
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One format of files that go out.  Licence and credits are written beside the files for all of them.
+    """A format of exported files; licence and credits are written for all formats.
 
     Args:
         write: Writes the files into a folder that is there, at paths of `FileNames`, and returns them.  Lengths, axes,
@@ -105,7 +105,7 @@ class ExportFormat:
 
 
 class FileNames:
-    """Paths of the files of a folder, made of the names of what is in them: none twice, and none elsewhere.
+    """Unique paths of the files of a folder, made of the names of their contents.
 
     Args:
         folder: The folder.
@@ -116,7 +116,7 @@ class FileNames:
         self._times = Counter[str]()
 
     def path(self, *parts: str | int, suffix: str, who: str = "", is_apart: bool = False) -> Path:
-        """Return a path, with a number where it was given before: take a_b, variant c and take a, variant b_c.
+        """Return a path, with a number if it was returned before: take a_b, variant c and take a, variant b_c.
 
         What is not as good as was asked for lies apart.  `who` is the person that a file is of, after a dot.
 
@@ -146,7 +146,7 @@ _LINE = re.compile(r"(?P<name>[A-Za-z0-9_./-]+): \S.*")
 
 
 def write_units(out: Path, said: Iterable[str], lines: Mapping[str, str]) -> Path:
-    """Write what someone who finds the files has to know, beside what an earlier export has left in the folder.
+    """Write the text about exported files, added to that of earlier exports in the folder.
 
     Args:
         out: The folder.
@@ -165,14 +165,14 @@ _CODECS = {".mp4": "vp09", ".avi": "MJPG"}
 
 
 def write_film(path: Path, images: Iterable[Any], rate_hz: float) -> Path:
-    """Write images (height, width, 3), BGR, as a film and return its path; one that fails leaves nothing there.
+    """Write images (height, width, 3), BGR, as a film and return its path; a failure leaves no file.
 
     MP4 is written as VP9, which browsers play; the last row and column of an odd size are left out.
 
     Raises:
         InputError: Films of this name or size cannot be written here.
     """
-    import cv2  # here: a quarter of a second that others need not wait for
+    import cv2  # here, as the import takes a quarter of a second
 
     part, video = path.with_name(f".part-{path.name}"), None
     codec = cv2.VideoWriter.fourcc(*_CODECS.get(path.suffix.lower(), "mp4v"))

@@ -1,4 +1,4 @@
-"""Poses as binary glTF: everybody of a cast as a skinned, animated figure."""
+"""Poses as binary glTF: all people of a cast as skinned, animated figures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
 
 
 def glb_person(name: str, rig: Rig) -> GlbPerson:
-    """Return a person with a body; one of positions alone rests in a T-pose."""
+    """Return a person with a body; the rest pose is a T-pose if only positions are known."""
     motion = rig.motion
     if rig.positions_m is not None:
         motion = standing_motion(motion.skeleton, rig.positions_m, motion.rate_hz)

@@ -1,4 +1,4 @@
-"""Pairs as JSON for editing, as a study reads them back (`seeds.files`): one file for both people."""
+"""Pairs as JSON for editing, one file for both people; a study reads them as seeds (`seeds.files`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FORMAT = ExportFormat(_write, names_pairs, "seeds and single draws (draws@key#ro
 
 
 def named_pairs(export: Export) -> Iterator[tuple[str, PairFile]]:
-    """Return pairs of seeds, or the one of a draw, by the name of their file."""
+    """Yield the pairs of seeds or of a draw, with their file names."""
     if export.reference.table == "seeds":
         for index, pair in pairs_of_seeds(export.store, export.text):
             if str(index) not in export.left_out:

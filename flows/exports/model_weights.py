@@ -20,7 +20,7 @@ from tasks.training.run import load_stored
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write weights, which `retarget --model` reads, and a model card in markdown beside them."""
+    """Write weights, which `retarget --model` reads, and a model card in Markdown."""
     names = FileNames(out)
     paths = []
     for ref in export.refs:
@@ -36,7 +36,7 @@ FORMAT = ExportFormat(_write, lambda reference: reference.table == "models" and 
 
 
 def stored_weights(store: Store, manifest: Manifest) -> Weights:
-    """Return a stored model and the takes that it was trained on."""
+    """Return a stored model with the takes that it was trained on."""
     learned = ModelFacts.of(manifest).takes
     takes = {
         take_id: read.ref.content_digest
@@ -47,7 +47,7 @@ def stored_weights(store: Store, manifest: Manifest) -> Weights:
 
 
 def _read(store: Store, manifest: Manifest) -> list[Manifest]:
-    """Return the training data of a model, as far as it is still in the store."""
+    """Return the training data of a model that is still in the store."""
     inputs = (store.find(ref.stage, ref.key) for ref in manifest.inputs)
     return [one for one in inputs if one is not None]
 
@@ -66,7 +66,7 @@ def _card(store: Store, manifest: Manifest) -> str:
 
 
 def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
-    """Return the figures of a model as rows: as the last runs of studies have scored it, else all that there are."""
+    """Yield the scores of a model as rows: those of the last runs of studies, else all."""
     evaluations = [
         one for one in store.artifacts("evaluation") if manifest.ref in one.inputs and "scores" in one.tables
     ]

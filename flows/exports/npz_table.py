@@ -15,7 +15,7 @@ from storage_schema.table_data import concatenate
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write every column as an array; one of varying length as its values end to end and the rows' offsets.
+    """Write every column as an array; varying rows as concatenated values with offsets.
 
     `<column>_unit` is a column's unit, `<skeleton>_joint_names` and `<skeleton>_parents` (-1 for the root) its joints.
     """

@@ -1,4 +1,4 @@
-"""What was made from 2D poses, drawn on its footage: a video for each sequence and method."""
+"""Results from 2D poses drawn on their footage: a video for each sequence and method."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tasks.ingest.film.readers import first_shown, image_at, open_film
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _OPAQUE = 0.75
-"""Of bodies over the footage."""
+"""Opacity of bodies over the footage."""
 _MARGIN_PX, _LARGEST_PX = 40, 4096
 _FAR = 250
-"""An image so many frames ahead is sought; the next ones are read."""
+"""An image this many frames ahead is sought; nearer ones are read through."""
 _STILLS_HZ = 2.0
-"""Rate at which frames are shown that do not follow each other in time."""
+"""Rate of frames that are single images."""
 _SAID = [
     f"MP4 files show the annotation in grey and the result as bodies, person A in {COLOUR_NAMES[0]} and B in "
     f"{COLOUR_NAMES[1]}, fitted to the annotation by scale and shift: they show poses, but not how far off a person "
@@ -39,7 +39,7 @@ _SAID = [
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write a video for each sequence and method, on blank frames where no footage is named."""
+    """Write a video for each sequence and method, on blank frames without footage."""
     files = CastFiles(export, out, _SAID)
     for cast in casts(export):
         if cast.seen is not None:
@@ -60,7 +60,7 @@ FORMAT = ExportFormat(
 
 def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
     """Yield the images of the video of one cast."""
-    import cv2  # here: a quarter of a second that others need not wait for
+    import cv2  # here, as the import takes a quarter of a second
 
     given_px, is_given, size, placed_hz = _annotation(export.store, cast, seen)
     blank = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
@@ -68,7 +68,7 @@ def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
     bodies: list[Body | None] = []
     for at, frame in enumerate(seen.frames):
         image, people_m = frames(frame).copy(), seen.positions_m[at]
-        if cast.labels or not bodies:  # stills have bones of their own
+        if cast.labels or not bodies:  # single images differ in bone lengths
             bodies = _bodies(seen.skeleton, people_m[None] if cast.labels else seen.positions_m)
         scales, shifts = _laid_on(people_m, given_px[at], is_given[at], together=seen.is_pair)
         thick, corners, colours = max(2, image.shape[0] // 240), [], []
@@ -93,7 +93,7 @@ def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
 
 
 def _bodies(skeleton: Skeleton, people_m: Array) -> list[Body | None]:
-    """Return everybody's body, by positions (frame, P, J, 3), metres; None of whom no frame shows whole."""
+    """Return bodies for positions (frame, P, J, 3), metres; None for a person whom no frame shows complete."""
     model, bodies = capsule_model(skeleton), []
     for one_m in np.moveaxis(people_m, 1, 0):
         whole = one_m[np.isfinite(one_m).all(axis=(1, 2))]
@@ -103,7 +103,7 @@ def _bodies(skeleton: Skeleton, people_m: Array) -> list[Body | None]:
 
 
 def _bones(image: Any, points_px: Array, seen: SeenCast, colour: tuple[int, int, int], thick: int) -> None:
-    """Draw the bones whose ends are known."""
+    """Draw the bones with known ends."""
     import cv2
 
     for parent, child in seen.skeleton.bones:
@@ -114,7 +114,7 @@ def _bones(image: Any, points_px: Array, seen: SeenCast, colour: tuple[int, int,
 
 
 def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: bool) -> tuple[Array, Array]:
-    """Return scale (P,) and shift (P, 2), pixels, that lay people (P, J, 3), camera axes, on what is given.
+    """Return scale (P,) and shift (P, 2), pixels, that fit people (P, J, 3), camera axes, to the annotation.
 
     A pair is laid on as a whole, people of a video one by one; NaN where fewer than two joints are given.
     """
@@ -161,7 +161,7 @@ def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags,
 
 
 class Footage:
-    """The images of a film by the frames of its annotations, streamed: an earlier frame is sought.
+    """The images of a film by the frames of its annotations; read as a stream, with seeks to earlier frames.
 
     Args:
         path: The film, or a folder of numbered images.
@@ -175,14 +175,14 @@ class Footage:
         with named("footage"):
             self._film = open_film(path)
         self._name, count = path.name, self._film.num_frames
-        # The first frame that each image shows.
+        # The first frame of each image.
         numbers = self._film.first_number + np.arange(count)
         self._shown = numbers if rate_hz is None else first_shown(self._film.times_s, rate_hz)
         self._at = count
         self._image: Any = None
 
     def __call__(self, frame: int) -> Any:
-        """Return the image of a frame; an InputError says that there is none."""
+        """Return the image of a frame; InputError without one."""
         wanted = image_at(self._shown, frame)
         if wanted < 0 or frame > self._shown[-1]:
             raise InputError(f"footage {self._name} has no frame {frame}: it is not the video of these annotations")

@@ -1,4 +1,4 @@
-"""People on the skeleton they came with: read from the store, and written as BVH and npz."""
+"""People on the source's own skeleton: read from the store, and written as BVH and npz."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TAKE_NAMES = (
     "the size, in `waltz_B-legs-1.10` the legs of B have 1.10 of their length. The end of a "
     "file for one person says whose motion it is: `waltz_A-0.75.B`."
 )
-"""What the names of files mean."""
+"""Meaning of file names."""
 _SAID = (
     TAKE_NAMES,
     "BVH files are in the unit said below and degrees, npz files in metres and unit quaternions (x, y, z, w).",
@@ -91,7 +91,7 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[TakePerson]:
 
 
 def rate_in_words(rate_hz: float, source_rate_hz: float) -> str:
-    """Say a rate, and that of the source where it differs.
+    """Return a rate in words, with the source's rate if it differs.
 
     >>> rate_in_words(30.0, 120.0), rate_in_words(30.0, 30.0)
     ('30 Hz (the source: 120 Hz)', '30 Hz')
@@ -102,13 +102,13 @@ def rate_in_words(rate_hz: float, source_rate_hz: float) -> str:
 
 
 def rig_of(own_skeleton: OwnSkeleton, rest_pose: RestPose) -> OwnSkeleton:
-    """Return what programs can draw: every joint has a length, and the rest pose is the one that was asked for."""
+    """Return a skeleton for other programs: every joint has a length, and the rest pose is the requested one."""
     ended = with_end_sites(own_skeleton)
     return standing(ended) if rest_pose == "standing" else ended
 
 
 class RigFiles:
-    """Files of people, for each a BVH and an npz, and at the end a text that describes them.
+    """Files of people: a BVH and an npz each, and at the end a text about them.
 
     Args:
         out: Folder, which is there.

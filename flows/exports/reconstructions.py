@@ -1,4 +1,4 @@
-"""The files of a reconstructed sequence: BVH and npz for each person, a GLB, decisions on people, and a page."""
+"""Files of a reconstructed sequence: BVH and npz for each person, a GLB, decisions on people, and a page."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _ERRORS = (
 
 @dataclass(frozen=True)
 class WrittenReconstruction:
-    """What was written of a sequence.
+    """The written files of a sequence.
 
     Args:
         rows: For each person, then each couple's distance: file, frames, expected error, misfit, misfit of left-out
@@ -63,7 +63,7 @@ class WrittenReconstruction:
 
 @dataclass(frozen=True)
 class Footage:
-    """What is at hand of a camera beside its keypoints.
+    """Further data of a camera beside its keypoints.
 
     Args:
         motion: How the camera moves, where that was subtracted.
@@ -76,7 +76,7 @@ class Footage:
     calibrated: CalibratedCamera | None = None
 
     def image_px(self, frames: Integers, px: Array) -> Array:
-        """Return where what a steady camera without distortion sees at pixels (frame, *batch, 2) is in its images."""
+        """Map pixels (frame, *batch, 2) of the steady camera without distortion to its images."""
         px = px if self.calibrated is None else self.calibrated.distorted_px(px)
         return px if self.motion is None else self.motion.image_px(frames, px)
 
@@ -152,7 +152,7 @@ def write_reconstruction(
 
 
 def _steady_facts(cameras: Sequence[SeenBy], footage: Sequence[Footage], frames: Integers) -> dict[str, Array]:
-    """Return the homographies to the steady images at frames of the first camera, where a camera moves.
+    """Return the homographies to the steady images at frames of the first camera, if a camera moves.
 
     They are `steady_from_image` (frame, 3, 3) of the first camera and, of several, `cameras_steady_from_image`
     (camera, frame, 3, 3) at the nearest frame of each; the identity where one does not move.
@@ -191,7 +191,7 @@ def _glb(people: ReconstructedPeople, cameras: Sequence[SeenBy]) -> bytes:
 def _over_film(
     people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot: Footage, film: FoundFilm
 ) -> tuple[list[Image], float]:
-    """Draw the reconstruction over images of a film, from the middle of what both have, faces blurred; and their rate.
+    """Draw the reconstruction over images from the middle of a film, faces blurred; return them with their rate.
 
     No images where the film ends before the reconstruction begins, or begins after its end.
     """
@@ -232,7 +232,7 @@ def _over_film(
 
 
 def _between_frames(positions_m: Array, at: Array) -> Array:
-    """Return joints (frame, *batch) at frames (n,) that may lie between two; there are none beside a frame of NaN.
+    """Interpolate joints (frame, *batch) at fractional frames (n,); NaN beside a frame of NaN.
 
     A frame off by rounding is that frame: somebody who leaves after it is still there.
     """

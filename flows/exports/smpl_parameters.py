@@ -1,4 +1,4 @@
-"""Whole motions as parameters of SMPL-like bodies, for the user's own body model: an npz for each person, as AMASS."""
+"""Motions as parameters of SMPL-like bodies for the user's own body model: an npz for each person, as in AMASS."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tasks.ingest.files import load_file
 
 
 def _write(export: Export, out: Path) -> Iterable[Path]:
-    """Write poses, trans, betas and rate of each person; the betas are a fit, and how far they miss is said."""
+    """Write poses, trans, betas and rate of each person; betas are fitted, and their misfit is stated."""
     if export.body_model is None:
         raise InputError("parameters are written for a body model: name it with --body-model; docs/body-models.md")
     with named(export.body_model.name):
@@ -45,7 +45,7 @@ FORMAT = ExportFormat(
 
 
 def _fitted(model: BodyModel, rig: Rig, positions_m: np.ndarray) -> tuple[SmplMotion, str]:
-    """Return the parameters of a person, and which axis points up in them: that of the source where it was SMPL."""
+    """Return the parameters of a person and their up axis: that of the source if it was SMPL."""
     if rig.own is None:
         return smpl_of_body22(model, positions_m, rig.motion.world()[1][:, : BODY22.num_joints]), "y"
     person, own_skeleton, _ = rig.own
@@ -57,7 +57,7 @@ def _fitted(model: BodyModel, rig: Rig, positions_m: np.ndarray) -> tuple[SmplMo
 
 
 def _misfit_in_words(fitted: SmplMotion) -> str:
-    """Say how far the betas and the rotations miss."""
+    """Return the misfit of betas and rotations in words."""
     bone, worst_m = max(fitted.misfit_m.items(), key=lambda one: abs(one[1]))
     mean_m = np.mean(np.abs([*fitted.misfit_m.values()]))
     return (

@@ -1,4 +1,4 @@
-"""Poses as TRC, for OpenSim: the joints of everybody of a cast as markers."""
+"""Poses as TRC, for OpenSim: the joints of all people of a cast as markers."""
 
 from __future__ import annotations
 

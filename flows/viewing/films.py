@@ -119,7 +119,7 @@ class FilmReader:
 
     def image(self, number: int) -> Array | None:
         """Return an image (height, width, 3), RGB, at most 960 pixels wide; None where it cannot be read."""
-        import cv2  # here: a quarter of a second that others need not wait for
+        import cv2  # here, as the import takes a quarter of a second
 
         with self._lock:
             try:
@@ -165,7 +165,7 @@ class FilmReader:
 
     def _read_next(self) -> bool:
         """Read and keep one more image; tells whether there was one."""
-        import cv2  # here: a quarter of a second that others need not wait for
+        import cv2  # here, as the import takes a quarter of a second
 
         frame = next(self._frames, None)
         if frame is None:

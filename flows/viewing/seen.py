@@ -64,7 +64,7 @@ class Seen:
         motion = None if self.ref is None else _motion(self.store, self.ref, self.sequence_id)
         if image is None or motion is None:
             return image
-        import cv2  # here: a quarter of a second that others need not wait for
+        import cv2  # here, as the import takes a quarter of a second
 
         height, width = image.shape[:2]
         (matrix,) = motion.resized(width / motion.image_size_px[0]).at(np.array([frame]))

@@ -275,7 +275,7 @@ def _own_rig(person: TakePerson, made: OwnSkeleton, wanted_m: Array | None, rest
 
 
 def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
-    """Yield the people of each video and method, upright on one floor; what lies between rejected clips each apart."""
+    """Yield the people of each video and method, upright on one floor; rejected clips divide videos into casts."""
     store = export.store
     rows = store.read(ref, "motions")
     if not export.all_methods:

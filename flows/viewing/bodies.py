@@ -1,4 +1,4 @@
-"""Bodies as skins, or as capsules: instances of two small meshes, a rod for each bone, a ball at each of its ends."""
+"""Bodies as skins or capsules. Capsules are instances of two small meshes: a rod for each bone, a ball at each end."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from pasdedeux.skeletons import BODY22, PAIR17, WORKING_SKELETONS, Skeleton
 from pasdedeux.spread import evenly_spread
 
 THROUGH_M = 0.01
-"""Surfaces deeper within each other than this are shown as penetrating: less is cloth and flesh."""
+"""Smallest depth that is shown as penetration; less is cloth and flesh."""
 TOUCH_M = 0.02
-"""Bodies nearer than this touch, on the strip of time: where the weight of a contact begins to fall."""
+"""Largest gap that counts as touching on the timeline: where the weight of a contact begins to fall."""
 MOST_MARKS = 24
-"""Contacts and penetrations shown in a frame, of either."""
+"""Largest number of contacts, and of penetrations, shown in a frame."""
 _NOWHERE_M = -100.0
 _STICK_M = 0.015
 
 
 @dataclass(frozen=True)
 class Instances:
-    """Where rods (along z, of radius and length 1) and balls (of radius 1) are: positions, turns and sizes."""
+    """Positions, rotations and scales of rods (along z, radius and length 1) and balls (radius 1)."""
 
     rods_m: Array
     rods_wxyz: Array
@@ -41,7 +41,7 @@ class Instances:
 
 
 def capsules(ends_m: Array, radii_m: Array) -> Instances:
-    """Return the instances of capsules with these ends (n, 2, 3) and radii (n,), metres; of NaN ends nothing is seen.
+    """Return the instances of capsules with ends (n, 2, 3) and radii (n,), metres; NaN ends are invisible.
 
     >>> capsules(np.array([[[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]]]), np.array([0.1])).rods_scale.tolist()
     [[0.10000000149011612, 0.10000000149011612, 2.0]]
@@ -52,7 +52,7 @@ def capsules(ends_m: Array, radii_m: Array) -> Instances:
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=-1)
     unit = along / np.maximum(length, 1e-9)[:, None]
-    # The shortest turn from z; from z to -z about x.
+    # The shortest rotation from z; from z to -z about x.
     wxyz = np.stack([1.0 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=-1)
     wxyz[np.linalg.norm(wxyz, axis=-1) < 1e-6] = [0.0, 1.0, 0.0, 0.0]
     return Instances(
@@ -65,13 +65,13 @@ def capsules(ends_m: Array, radii_m: Array) -> Instances:
 
 
 GAP = "surface_gap_m"
-"""Name of the curve of how near bodies are."""
+"""Name of the curve of the gap between bodies."""
 _MOST_GAPS = 3000
-"""Of longer motion frames evenly spread are measured."""
+"""Largest number of frames measured; in longer motion they are evenly spread."""
 
 
 def surface_gap_curve(people: People) -> Array | None:
-    """Return the smallest gap between surfaces of two people (frame,), metres; None of one person or another skeleton.
+    """Return the smallest gap between surfaces of two people (frame,), metres; None for one person or other skeletons.
 
     It is negative where bodies are within each other, and NaN where fewer than two are there.
     """
@@ -91,7 +91,7 @@ def surface_gap_curve(people: People) -> Array | None:
 
 
 class Bodies:
-    """Everybody over time, and objects: skins where a T-pose is known and no joint is missing, else capsules.
+    """People and objects over time: skins if a T-pose is known and no joint is missing, else capsules.
 
     Args:
         people: Who.
@@ -113,7 +113,7 @@ class Bodies:
         self._radii = np.concatenate([radii[:, self._bones[:, 1]].ravel(), [] if radii_m is None else radii_m])
 
     def at(self, frame: int, pose: Array | None = None) -> Instances:
-        """Return where the capsules are in a frame.
+        """Return the capsules of a frame.
 
         Args:
             frame: The frame.
@@ -137,7 +137,7 @@ class Bodies:
         return rotations
 
     def colours(self, grey: tuple[int, int, int] | None = None) -> Array:
-        """Return the colour of each capsule (n, 3), 0 to 255: left limbs darker; all of them grey where asked."""
+        """Return the colour of each capsule (n, 3), 0 to 255, left limbs darker; `grey` replaces those of people."""
         num_people = self._people.positions_m.shape[1]
         shades = np.array([shade_of(name) for name in self._people.skeleton.joint_names])[self._bones[:, 1]]
         people = [np.outer(shades, grey or person_rgb(person)) for person in range(num_people)]
@@ -146,20 +146,20 @@ class Bodies:
 
 
 def _are_whole(people: People) -> bool:
-    """Return whether everybody has all joints in each frame, or none."""
+    """Return whether each person has all joints or none in each frame."""
     is_known = np.isfinite(people.positions_m[..., 0])
     return bool((is_known.all(axis=-1) == is_known.any(axis=-1)).all())
 
 
 def _whole(people: People) -> Array:
-    """Return some frames (frame, person, joint, 3), metres, in which everybody is there."""
+    """Return some frames (frame, person, joint, 3), metres, in which all people are complete."""
     is_whole = np.isfinite(people.positions_m).all(axis=(1, 2, 3))
     some = np.flatnonzero(is_whole)[evenly_spread(int(is_whole.sum()), 64)]
     return np.asarray(people.positions_m[some], dtype=np.float64)
 
 
 def _rests(people: People) -> Array:
-    """Return everybody's T-pose (person, joint, 3), metres, with median bone lengths; a usual body's where none are."""
+    """Return T-poses (person, joint, 3), metres, with median bone lengths, or those of an average body."""
     whole = _whole(people)
     if not len(whole):
         return np.broadcast_to(1.7 * standing_m(people.skeleton), people.positions_m.shape[1:])
@@ -167,7 +167,7 @@ def _rests(people: People) -> Array:
 
 
 def _radii(people: People) -> Array:
-    """Return radii (person, joint), metres, from the frames in which everybody is there; a usual body's where none."""
+    """Return radii (person, joint), metres, from frames in which all people are complete, or of an average body."""
     if people.skeleton.name not in WORKING_SKELETONS:
         return np.full(people.positions_m.shape[1:3], _STICK_M)
     model, whole = capsule_model(people.skeleton), _whole(people)
@@ -177,7 +177,7 @@ def _radii(people: People) -> Array:
 
 
 def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, Array]:
-    """Return where people touch (n, 3) and where bodies pass through each other (m, 3), metres.
+    """Return points of contact (n, 3) and of penetration (m, 3), metres.
 
     Contacts are those of the augmentation in this frame by itself; penetration is deeper than `THROUGH_M`.
 
@@ -207,7 +207,7 @@ def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, A
 
 
 def marker_balls(points_m: Sequence[Array], radius_m: float) -> tuple[Any, Any]:
-    """Return places and sizes of a fixed number of balls for each of these points (n, 3), unused ones without size."""
+    """Return positions and sizes of a fixed number of balls for each set of points (n, 3); unused ones have size 0."""
     places = np.full((MOST_MARKS * len(points_m), 3), _NOWHERE_M, dtype=np.float32)
     sizes = np.zeros(len(places), dtype=np.float32)
     for number, points in enumerate(points_m):

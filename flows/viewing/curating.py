@@ -28,17 +28,17 @@ class Moment:
 
     @property
     def row(self) -> int:
-        """The first row of the item that is of the frame."""
+        """First row of the frame in the item."""
         return self.scene.row_of(self.frame)
 
     @property
     def reference(self) -> str:
-        """What names it."""
+        """Its reference."""
         return moment_reference(self.part, self.item, self.row)
 
     @property
     def is_thing(self) -> bool:
-        """The frame is accepted or rejected by itself."""
+        """Whether the frame is accepted or rejected on its own."""
         return is_each_frame(self.part, self.item)
 
 
@@ -65,11 +65,11 @@ class ChoicesPane:
         return pane
 
     def show(self, table: str) -> None:
-        """Offer clips where those of a table can be chosen."""
+        """Show the buttons for clips, if clips of a table can be chosen."""
         self.start.visible = self.end.visible = table in CLIPPED
 
     def decide(self, decision: Decision | Literal["undo"]) -> None:
-        """Accept or reject what is shown, for the reason in the panel, and go on to the next thing."""
+        """Accept or reject the shown item, with the reason in the panel, and go to the next one."""
         viewer = self.viewer
         with viewer.lock:
             moment = viewer.moment
@@ -80,14 +80,14 @@ class ChoicesPane:
             viewer.step(1 if moment.is_thing and decision != "undo" else 0)
 
     def mark_clip(self, edge: Literal["start", "end"]) -> None:
-        """Let the clip that choices are about start or end at this frame."""
+        """Let the clip to choose start or end at this frame."""
         with self.viewer.lock:
             self.viewer.curation.mark(edge, self.viewer.moment)
             self.viewer.look()
 
 
 class Curation:
-    """What is chosen of what is shown.
+    """Choices on the shown items.
 
     Args:
         shelf: What can be looked at.
@@ -99,11 +99,11 @@ class Curation:
         self.begin()
 
     def begin(self, clip: tuple[int, int] | None = None) -> None:
-        """Let choices be about a clip from now on, by its first and last frame; without one about the whole item."""
+        """Apply choices to a clip from now on, by its first and last frame; without one to the whole item."""
         self.clip, self._thing = clip, ("", "")
 
     def mark(self, edge: Literal["start", "end"], moment: Moment) -> None:
-        """Let the clip start or end at a frame; the other edge gives way.
+        """Let the clip start or end at a frame; the other end moves if necessary.
 
         Raises:
             InputError: Clips of this table cannot be chosen.
@@ -113,7 +113,7 @@ class Curation:
         self.begin((frame, max(frame, last)) if edge == "start" else (min(first, frame), frame))
 
     def decide(self, decision: Decision | Literal["undo"], moment: Moment, reason: str) -> str:
-        """Write a choice, or forget it, of the clip that the frame is in where none is marked; says so."""
+        """Write or undo a choice, without a marked clip that on the clip around the frame; return it in words."""
         name, content = self.thing(moment)
         if decision == "undo" and self.clip is None:
             at = moment.scene.number_of(moment.frame)
@@ -122,7 +122,7 @@ class Curation:
         return self.choosing.decide(decision, moment.part.table, name, content, reason)
 
     def lines(self, moment: Moment) -> list[str]:
-        """Return what was chosen of a moment, and of clips of its item, a line each."""
+        """Return the choices on a moment and on clips of its item, a line each."""
         marked = "" if self.clip is None else f"clip of frames {self.clip[0]} to {self.clip[1]}: "
         lines = [marked + self.choosing.words(moment.part.table, *self.thing(moment))]
         for (first, last), one in self._clips(moment).items():
@@ -131,14 +131,14 @@ class Curation:
         return lines
 
     def of_item(self, part: Part, item: Item) -> str:
-        """Return what was chosen of an item, in one word; of items whose frames are chosen one by one nothing."""
+        """Return the choice on an item in one word; empty if its frames are chosen one by one."""
         if is_each_frame(part, item):
             return ""
         choice = self.choosing.about(part.table, "/".join(item.names))
         return UNDECIDED if choice is None else f"{choice.decision}ed"
 
     def thing(self, moment: Moment) -> tuple[str, str]:
-        """Return name and content of what would be accepted or rejected now; an item's is read once."""
+        """Return name and content that a choice would apply to now; those of an item are read once."""
         if moment.is_thing or not self._thing[0]:
             number = moment.scene.number_of
             clip = None if self.clip is None else (number(self.clip[0]), number(self.clip[1]))
@@ -150,12 +150,12 @@ class Curation:
 
 
 def is_each_frame(part: Part, item: Item) -> bool:
-    """Tell whether frames of an item are accepted or rejected one by one."""
+    """Return whether frames of an item are accepted or rejected one by one."""
     return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
 
 
 def thing_of(shelf: Shelf, part: Part, item: Item, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
-    """Return name and content of what is accepted or rejected at a row of an item, which may hold more than that.
+    """Return name and content that a choice at a row of an item applies to; the item may hold more.
 
     Args:
         shelf: What can be looked at.

@@ -1,4 +1,4 @@
-"""Figures over time in the panel: a curve, and a strip of who is there, touches and judgements."""
+"""Figures over time in the panel: a curve, and a strip with people, contacts and verdicts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _GREEN, _RED = (20, 160, 60), (220, 20, 60)
 
 
 class Curves:
-    """The folder of the panel with figures over the frames of what is shown.
+    """The folder of the panel with figures over the frames of the scene.
 
     Args:
         panel: The panel.
@@ -36,7 +36,7 @@ class Curves:
         self._curves: list[Array] = []
 
     def show(self, scene: Scene) -> None:
-        """Take a figure over the frames, and those of other chains beside it."""
+        """Take the figures of a scene, and those of other chains."""
         known = {}
         for name, curve in scene.curves.items():
             label, factor, _ = figure_label(name)
@@ -51,13 +51,13 @@ class Curves:
         self._curves = [*others, known[str(self.chosen.value)]] if known else []
 
     def draw(self, frame: int) -> None:
-        """Draw the figure with a line at a frame."""
+        """Draw the chosen figure with a line at a frame."""
         if self._curves:
             self._plot.image = plot_curves(self._curves, frame)
 
 
 def time_strip(is_there: Flags, levels: Integers | None, gap_m: Array | None) -> Array | None:
-    """Return what is where in time as a strip, time to the right; None of nothing.
+    """Return a strip of presence, contacts and verdicts over time, to the right; None if there is nothing to show.
 
     Args:
         is_there: Who is there (frame, person): a row each, where somebody is not always.
@@ -79,7 +79,7 @@ def time_strip(is_there: Flags, levels: Integers | None, gap_m: Array | None) ->
 
 
 def plot_curves(curves: Sequence[Array], frame: int) -> Any:
-    """Return figures over the frames as an image: the last of them over the others, and a line at a frame."""
+    """Return figures over the frames as an image, the last one on top, with a line at a frame."""
     height, width, edge = 170, _WIDTH, 22
     image = np.full((height, width, 3), PAPER, dtype=np.uint8)
     low, high = (take([take(curve) for curve in curves if np.isfinite(curve).any()]) for take in (np.nanmin, np.nanmax))

@@ -1,4 +1,4 @@
-"""Pairs that somebody changes: joints are dragged, the pair is saved as a seed, and chains start from it."""
+"""Changes pairs in the viewer: joints are dragged, the pair is saved as a seed, and chains start from it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NUM_NEXT = 8
 
 
 class Editor:
-    """The part of the panel in which pairs are changed, and chains started.
+    """The folder of the panel in which pairs are changed and chains are started.
 
     Args:
         viewer: What it belongs to.
@@ -75,11 +75,11 @@ class Editor:
 
     @property
     def is_image(self) -> bool:
-        """What is changed are 2D joints."""
+        """Whether 2D joints are changed."""
         return self.viewer.part.table == "annotations"
 
     def _begin(self) -> None:
-        """Show 2D poses as such while they are changed."""
+        """Begin or end changes; 2D poses are shown as such meanwhile."""
         viewer = self.viewer
         viewer.wants_flat = bool(self._is_on.value)
         if viewer.scene.flat is not None:
@@ -87,7 +87,7 @@ class Editor:
         self.show_hand()
 
     def show_hand(self) -> None:
-        """Show what can be done with what is shown, and the handle at the joint that is chosen."""
+        """Show the controls that apply to the scene, and the handle at the chosen joint."""
         viewer = self.viewer
         num_people = self.pose.shape[0]
         can_change = KINDS[viewer.part.table].is_each and num_people == len(_PERSONS)
@@ -113,12 +113,12 @@ class Editor:
 
     @property
     def pose(self) -> Array:
-        """The pair as it is now (person, joint, 3), metres."""
+        """The current pair (person, joint, 3), metres."""
         viewer = self.viewer
         return viewer.scene.people.frame(viewer.frame) if viewer.pose is None else viewer.pose
 
     def drag(self, target_m: Array, *, is_last: bool = True) -> None:
-        """Bring the chosen joint to a place, of a pair with exact bones; of film the last one is tracked from."""
+        """Move the chosen joint to a place, with exact bones of pairs; film is tracked again after the last move."""
         if not self._hand.visible:
             return
         viewer, (person, joint) = self.viewer, self._place
@@ -137,23 +137,23 @@ class Editor:
             self._track_anew()
 
     def _drag_image(self, dragged: Dragged) -> None:
-        """Bring a joint to where it was dragged in the side picture, and the handle with it."""
+        """Move a joint that is dragged in the side picture, and the handle with it."""
         self._person.value, self._joint.value = _PERSONS[dragged.person], PAIR17.joint_names[dragged.joint]
         self._place = dragged.person, dragged.joint
         self._hand.position = at = np.array([*placed_in_room(dragged.point_px, self._size_px), 0.0])
         self.drag(at, is_last=dragged.is_last)
 
-    # Film: tracks follow what is corrected.
+    # Film: tracks follow corrections.
 
     @property
     def _shot_ref(self) -> ArtifactRef | None:
-        """The artifact of the shot of film whose 2D poses are shown; None where they are of something else."""
+        """The artifact of the shown shot of film; None for other 2D poses."""
         ref = self.viewer.item.pieces[0][0]
         is_shot = self.is_image and "num_given" in self.viewer.shelf.store.manifest(ref).parameters
         return ref if is_shot else None
 
     def _track_anew(self) -> None:
-        """Take the joint of film that was let go as annotated, and track it anew from there."""
+        """Treat the released joint of film as annotated, and track it again from there."""
         viewer, ref = self.viewer, self._shot_ref
         if ref is None or viewer.pose is None:
             return
@@ -170,7 +170,7 @@ class Editor:
         )
 
     def next_to_correct(self) -> None:
-        """Go to the next of the frames of film whose correction helps most."""
+        """Go to the next frame of film whose correction helps most."""
         viewer, ref = self.viewer, self._shot_ref
         if ref is None:
             return
@@ -188,7 +188,7 @@ class Editor:
         return self.viewer.shelf.shot(ref)
 
     def show_limits(self) -> None:
-        """Name the angles that are out of range."""
+        """List the angles that are out of range."""
         refs = self.viewer.shelf.having("joint_limits")
         limits = read_limits(self.viewer.shelf.store, refs) if refs else JointLimits.published()
         bad = [
@@ -199,10 +199,10 @@ class Editor:
         self._limits.visible = not self.is_image
         self._limits.value = f"{', '.join(bad[:_TOO_FAR])}{more} out of range" if bad else "all angles in range"
 
-    # What is saved.
+    # Saving.
 
     def save(self) -> Path:
-        """Write what is shown, changed or not, as a file that a study can name; gives its path."""
+        """Write the current pair or 2D poses to a file for studies, and return its path."""
         if self.is_image:
             path = self._save_image()
         else:
@@ -216,7 +216,7 @@ class Editor:
         return path
 
     def _write(self, name: str, suffix: str, text: str) -> Path:
-        """Write a file whose name tells its content: what was saved before stays."""
+        """Write a file with a digest of its content in its name, so that earlier files stay."""
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:6]}{suffix}"
         path.write_text(text, encoding="utf-8")
@@ -225,7 +225,7 @@ class Editor:
     # Chains.
 
     def restart(self) -> None:
-        """Start chains from what is shown in a process of their own; it goes on whatever the browser does."""
+        """Start chains from the shown pair in a separate process, which does not depend on the browser."""
         viewer = self.viewer
         if self.process is not None and self.process.poll() is None:
             raise InputError("a restart is already running; wait until it ends")
@@ -242,7 +242,7 @@ class Editor:
         threading.Thread(target=follow, args=(self.process,), daemon=True).start()
 
     def _follow(self, process: subprocess.Popen[str], seed: str) -> None:
-        """Say what the process says, line by line, and offer new draws while they come."""
+        """Show the output of the process line by line, and offer new draws while they come."""
         assert process.stdout is not None
         before = set(self.viewer.shelf.store.folders("chains"))
         last = ""
@@ -255,7 +255,7 @@ class Editor:
         self._offer(before, seed)
 
     def _offer(self, before: set[Path], seed: str) -> None:
-        """Put new draws that come from a seed file on the shelf: a part for each partition."""
+        """Add new draws from a seed file to the shelf, with a part for each partition."""
         viewer, store = self.viewer, self.viewer.shelf.store
         refs_by_stage: dict[str, list[ArtifactRef]] = {}
         for path in sorted(set(store.folders("chains")) - before):
@@ -273,7 +273,7 @@ class Editor:
     # 2D poses.
 
     def lift(self) -> None:
-        """Lift the 2D poses of this frame again, as they are now, and show them with the pair of before."""
+        """Lift the current 2D poses of this frame again, and show the pair with the previous one."""
         viewer, shelf = self.viewer, self.viewer.shelf
         if viewer.scene.flat is None:
             viewer.show_item(viewer.index, viewer.moment.row)
@@ -295,7 +295,7 @@ class Editor:
         viewer.panel.tell(f"lifted again: joints moved by {moved:.1f} cm on average; grey is the pair of before")
 
     def image_px(self) -> Array:
-        """Return the 2D poses as they are now (person, joint, 2), pixels."""
+        """Return the current 2D poses (person, joint, 2), pixels."""
         width, height = self._size_px
         return np.asarray(self.pose[..., :2] * [1.0, -1.0] * height / IMAGE_HEIGHT_M + [width / 2, height])
 
@@ -304,7 +304,7 @@ class Editor:
         return self.viewer.scene.images(self.viewer.frame)[0].size_px
 
     def _save_image(self) -> Path:
-        """Write all 2D poses of the item, those of this frame as they are now, as CSV; of film its key frames."""
+        """Write all 2D poses of the item, with the changes in this frame, as CSV; for film its key frames."""
         viewer = self.viewer
         if self._shot_ref is not None:
             keys = write_annotation_csv(viewer.shelf.shot(self._shot_ref).given())

@@ -1,4 +1,4 @@
-"""The film that 2D poses were seen in, where it still is where the study says: its images, read when they are shown."""
+"""The film of 2D poses, if it is still in its place in the study; images are read when they are shown."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from tasks.stage import SourceFile
 from tasks.user_files import digest_of
 
 _LARGEST_PX = 960
-"""Longer side of the images that are shown and kept."""
+"""Longer side of the images."""
 _NUM_KEPT = 240
 _NOWHERE = -(10**9)
 _NUM_BEFORE = 30
-"""Images read before the one that is looked for, so that steps back find theirs."""
+"""Images read before the requested one, for steps back."""
 
 
 def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | None:
-    """Return the film of an artifact of 2D poses, which is looked for when it is read; None where there is none.
+    """Return the film of an artifact of 2D poses, whose files are found on first use; None without one.
 
     Args:
         manifest: The artifact.
@@ -59,7 +59,7 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | Non
 
 
 def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
-    """Return the shot of film of an artifact of 2D poses, tracked, which takes as long as its first time.
+    """Return the tracked shot of film of an artifact of 2D poses; this takes as long as the first time.
 
     Raises:
         InputError: One of its files is not where the study says, or has changed since.
@@ -72,7 +72,7 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
 
 
 def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tuple[SourceFile, ...]:
-    """Return the files of these names and digests, which are where one of these places is."""
+    """Return the files with these names and digests in the folders of these places."""
     folders = dict.fromkeys(place if place.is_dir() else place.parent for place in places)
     files = []
     for name, digest in names:
@@ -84,14 +84,14 @@ def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tup
     return tuple(files)
 
 
-@cache  # the shots of a film are each an artifact of all of its images
+@cache  # each shot of a film is an artifact of all its images
 def _digest(path: Path) -> str:
     return digest_of(path)
 
 
 @dataclass
 class FilmReader:
-    """Images of a film by the number of their frame; the last ones that were read are kept, small and packed.
+    """Images of a film by frame number; the last ones are kept, small and compressed.
 
     Args:
         find: Finds the film, or its images in order, which may take as long as reading it all.
@@ -107,10 +107,10 @@ class FilmReader:
     after_s: float | None = None
     rate_hz: float | None = None
     trouble: str = field(default="", init=False)
-    """Why it cannot be read, once somebody has tried."""
+    """Why it could not be read."""
     _kept: dict[int, Any] = field(default_factory=dict, init=False, repr=False)
     _times_s: dict[int, float] = field(default_factory=dict, init=False, repr=False)
-    """Time stamps of images that were read, by their number from the first frame on."""
+    """Time stamps of the images read so far, by their number from the first frame."""
     _shown: list[int] = field(default_factory=list, init=False, repr=False)
     _frames: Iterator[FilmFrame] = field(default_factory=lambda: iter(()), init=False, repr=False)
     _next: int = field(default=_NOWHERE, init=False, repr=False)
@@ -118,7 +118,7 @@ class FilmReader:
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
 
     def image(self, number: int) -> Array | None:
-        """Return an image (height, width, 3), RGB, at most 960 pixels wide; None where it cannot be read."""
+        """Return an image (height, width, 3), RGB, at most 960 pixels wide; None if it cannot be read."""
         import cv2  # here, as the import takes a quarter of a second
 
         with self._lock:
@@ -130,7 +130,7 @@ class FilmReader:
         return image
 
     def _read(self, number: int) -> int:
-        """Read what a frame shows, unless it is kept, from the nearest image before that can be sought; return which.
+        """Read the image of a frame, unless it is kept, from the nearest earlier one to seek; return its number.
 
         Of a film of a varying rate that is known once the image after it was read.
         """
@@ -147,14 +147,14 @@ class FilmReader:
         return at
 
     def _place(self, number: int) -> tuple[int, bool]:
-        """Return which image a frame shows, as far as time stamps are known, and whether that is sure."""
+        """Return the number of a frame's image by the known time stamps, and whether it is certain."""
         if self.rate_hz is None:
             return number - self.first_number - self.first_frame, True
         at = image_at(self._shown, number)
         return at, at + 1 < len(self._shown)
 
     def _seek(self, begin: int) -> None:
-        """Go on from an image; the last one before it whose time stamp is known is sought."""
+        """Continue from an image; the stream is sought to the last earlier image with a time stamp."""
         known = sorted(at for at in self._times_s if at < begin)
         times_s = [self._times_s[at] for at in known]
         is_told = bool(known) and (np.diff(times_s) > 0).all()
@@ -164,7 +164,7 @@ class FilmReader:
         self._next = begin
 
     def _read_next(self) -> bool:
-        """Read and keep one more image; tells whether there was one."""
+        """Read and keep the next image; return whether there was one."""
         import cv2  # here, as the import takes a quarter of a second
 
         frame = next(self._frames, None)

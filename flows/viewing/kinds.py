@@ -1,4 +1,4 @@
-"""How the rows of each table that has people become a scene: one function and one line for each."""
+"""Makes scenes of the rows of each table with people: one function and one line for each table."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""
 _NUM_NEAREST = 3
 _MAX_PROJECTIONS = 300_000
-"""Of the database so many projections are looked through, evenly spread."""
+"""Largest number of projections that are searched, evenly spread over the database."""
 _LEVELS = {"pass": 0, "warn": 1, "fail": 2}
 
 
@@ -74,7 +74,7 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
     quality = store.read(ref, "variant_frames")
     rows = np.flatnonzero((quality["take_id"] == take_id) & (quality["variant_id"] == variant_id))
     names = [column.name for column in quality.table.columns if column.name.endswith(("_m", "_rad", "_ratio"))]
-    names.sort(key=lambda name: name != "contact_drift_m")  # it comes first
+    names.sort(key=lambda name: name != "contact_drift_m")  # first
     return Scene(
         People(BODY22, grid.fill(data["body22_m"])),
         grid.frame_of_row,
@@ -97,7 +97,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
     manifest = store.manifest(item.pieces[0][0])
     facts = MotionFacts.of(manifest)
-    # From the axes of a camera that looks down to a world in which people stand upright.
+    # From the axes of a pitched camera to a world in which people stand upright.
     camera_from_upright = DatabaseCamera(math.radians(facts.pitch_deg)).camera_from_upright_rotmat
     shown = shown @ camera_from_upright.astype(np.float32)
     curves = {"match_distance_m": np.nanmean(grid.fill(data["score_m"]), axis=1)}
@@ -108,7 +108,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
         )
         off = np.subtract(*both)
         curves = {"error_m": np.nanmean(np.linalg.norm(off, axis=-1), axis=(1, 2))} | curves
-    if truth is not None:  # on the floor, and the mid-hips of the first frame together
+    if truth is not None:  # on the floor, with the mid-hips of the first frame in one place
         truth = truth @ camera_from_upright
         away = np.nanmean(truth[0, :, BODY22.root] - shown[0, :, BODY22.root], axis=0)
         truth = truth - [away[0], np.nanmin(truth[..., 1]) - np.nanmin(shown[..., 1]), away[2]]
@@ -135,7 +135,7 @@ def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
 
 
 def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) -> list[Flat]:
-    """Return the poses of the database that each person of a reconstruction (frame, person, 14, 3) looks most like."""
+    """Return the poses of the database most similar to each person of a reconstruction (frame, person, 14, 3)."""
     searched = _database(store, ref)
     if searched is None:
         return []
@@ -155,7 +155,7 @@ def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) ->
 
 @lru_cache(maxsize=1)
 def _database(store: Store, ref: ArtifactRef) -> tuple[Database, ProjectionIndex, Array, Integers] | None:
-    """Return the database that a reconstruction was made with, thinned, as its camera saw it; None where it is gone."""
+    """Return the thinned database of a reconstruction, in the view of its camera; None if it is gone."""
     refs = [one for one in store.manifest(ref).inputs if store.find(one.stage, one.key)]
     refs = [other for other in refs if "projections" in store.manifest(other).tables]
     if not refs:
@@ -206,7 +206,7 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
 
 
 def _corrected_px(shelf: Shelf, item: Item, data: Any) -> Array:
-    """Return 2D poses (row, 17, 2), as they are stored or as somebody has corrected them since."""
+    """Return 2D poses (row, 17, 2), as stored or with later corrections."""
     points_px, changed = np.array(data["pair17_px"]), shelf.corrected.get(item.pieces[0][0], {})
     for row, place in enumerate(zip(data["frame"].tolist(), data["person_id"].tolist(), strict=True)):
         if place in changed:
@@ -215,7 +215,7 @@ def _corrected_px(shelf: Shelf, item: Item, data: Any) -> Array:
 
 
 def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:
-    """Return where pixels (..., 2) of an image are that stands in the room: metres across and up."""
+    """Return the position of pixels (..., 2) of an image that stands in the room: metres across and up."""
     return np.asarray((points_px - [size_px[0] / 2, size_px[1]]) * [1.0, -1.0] * IMAGE_HEIGHT_M / size_px[1])
 
 
@@ -330,7 +330,7 @@ KINDS: Mapping[str, Kind] = {
 
 @lru_cache(maxsize=4)
 def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
-    """Return the annotated pairs that a chain was sampled with."""
+    """Return the annotated pairs of a chain's likelihood."""
     seen_pairs: list[SeenPair] = []
     for views in inputs_with(store, ref, "views"):
         for annotated in inputs_with(store, ref, "annotations"):
@@ -340,6 +340,6 @@ def _evidence(store: Store, ref: ArtifactRef) -> list[SeenPair]:
 
 
 def _image_of(image_m: Array, title: str, skeleton: Skeleton = PAIR17) -> Flat:
-    """Return an image in metres (person, joint, 2), y up, as pixels."""
+    """Convert an image in metres (person, joint, 2), y up, to pixels."""
     points = image_m * [400.0, -400.0]
     return Flat(skeleton, points - np.nanmin(points, axis=(0, 1)) + 40.0, size_of(np.nan, np.nan, points), title)

@@ -1,4 +1,4 @@
-"""The items of a part in the order, and of the kind, that was asked for, and what is known of each."""
+"""The list of items of a part, filtered and sorted, with the figures of each item."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ONLY = (ALL, PASSES, WARNS, FAILS, "accepted", "rejected", UNDECIDED)
 
 
 class Listing:
-    """The folder of the panel that says which items of a part are listed, and how.
+    """The folder of the panel that filters and sorts the items of a part.
 
     Args:
         panel: The panel.
@@ -36,10 +36,10 @@ class Listing:
             self.only = panel.gui.add_dropdown("only", ONLY)
             self.by = panel.gui.add_dropdown("sort by, largest first", (STORED_ORDER,))
         self.order: list[int] = []
-        """Numbers of the items that are listed."""
+        """Numbers of the listed items."""
 
     def show(self, part: Part, kept: int) -> None:
-        """List the items of another part, `kept` in any case."""
+        """List the items of another part; `kept` is listed in any case."""
         self._part, self._figures = part, qualities(self._shelf, part)
         first = next(iter(self._figures.values()), {})
         self._names = {figure_label(name).words: name for name, value in first.items() if _is_figure(part, name, value)}
@@ -52,11 +52,11 @@ class Listing:
         return self._shelf.items(self._part)
 
     def mark(self, index: int) -> None:
-        """Show an item as the chosen one among those that are offered."""
+        """Select an item in the widget."""
         set_value(self._offered, self.label(index))
 
     def sort(self, kept: int | None = None) -> None:
-        """Put the items into the order, and leave out those, that were asked for; `kept` stays in any case."""
+        """Filter and sort the items as chosen; `kept` is listed in any case."""
         rows, by, only = [self.figures(item) for item in self.items], str(self.by.value), str(self.only.value)
         shown = [{ALL, str(row.get("verdict", "")), self._chosen(at)} for at, row in enumerate(rows)]
         self.order = [at for at, words in enumerate(shown) if at == kept or only in words]
@@ -65,18 +65,18 @@ class Listing:
         self._offered.options = tuple(map(self.label, self.order)) or ("none",)
 
     def after(self, index: int, by: int) -> int | None:
-        """Return the item some places after one; None where none is listed."""
+        """Return the item some places after another one; None if none is listed."""
         at = self.order.index(index) if index in self.order else 0
         return self.order[(at + by) % len(self.order)] if self.order else None
 
     def label(self, index: int) -> str:
-        """Return what an item is called: verdict and choice stand behind, where there is something to say."""
+        """Return the label of an item, with verdict and choice unless it passes and is undecided."""
         item = self.items[index]
         words = self.figures(item).get("verdict", PASSES), self._chosen(index)
         return " ".join([item.label, *(f"({word})" for word in words if word not in (PASSES, UNDECIDED, ""))])
 
     def figures(self, item: Item) -> dict[str, Any]:
-        """Return the figures of an item as the store has them."""
+        """Return the stored figures of an item."""
         return self._figures.get(item.names, {})
 
     def figure_lines(self, item: Item) -> list[str]:
@@ -89,7 +89,7 @@ class Listing:
 
 
 def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
-    """Return the figures of each item of a part by the item's names; of several people those of the worst stand."""
+    """Return the figures of each item of a part by the item's names; of several people those of the worst."""
     table = KINDS[part.table].quality
     quality_rows: dict[tuple[str, ...], dict[str, Any]] = {}
     for ref in shelf.having(table, part.name) if table else ():
@@ -103,7 +103,7 @@ def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]
 
 
 def _is_figure(part: Part, name: str, value: Any) -> bool:
-    """Tell whether a column of the figures of a part's items is a number that names nothing."""
+    """Return whether a column of figures is a number and no identifier."""
     is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
     return is_number and name not in {*GROUPS[part.table], "person"}
 

@@ -1,4 +1,4 @@
-"""Motion files that are no bodies of a known layout: sticks between the files' own joints."""
+"""Motion files whose joints fit no known layout: sticks between the files' own joints."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _ABOUT = "the file's own joints, drawn as sticks: nothing is measured"
 
 @contextmanager
 def open_own_joints(files: Sequence[str], units_m: Sequence[float], refused: InputError) -> Iterator[Shelf]:
-    """Return a shelf with one take: the people of motion files that no study could take.
+    """Yield a shelf with one take: the people of motion files that a study would refuse.
 
     Args:
         files: The files; one that is named several times holds several people, and each time means the next.
@@ -82,7 +82,7 @@ def open_own_joints(files: Sequence[str], units_m: Sequence[float], refused: Inp
 
 
 def _read(path: Path, number: int, *, is_all: bool) -> tuple[bool, list[OwnJoints]]:
-    """Return whether a file is of known bodies, and its hierarchies, or the one of a number."""
+    """Return whether a file has bodies of known layouts, and its hierarchies, all or that of a number."""
     with named(path.name):
         kind = find_format(MOTION_FORMATS, "auto", read_start(path))
         companion, data = find_companion(path, kind), load_file(path).data
@@ -94,14 +94,14 @@ def _read(path: Path, number: int, *, is_all: bool) -> tuple[bool, list[OwnJoint
 
 
 def _unit_m(source: SourceMotion) -> float:
-    """Return the length of a file's unit; where nothing tells it, that which makes the figure as tall as an adult."""
+    """Return the length of a file's unit; if unknown, the one that makes the figure as tall as an adult."""
     guess = guess_unit(source)
     is_told = guess.confidence >= MIN_UNIT_CONFIDENCE or not guess.height_m
     return guess.metres_per_unit * (1.0 if is_told else USUAL_HEIGHT_M / guess.height_m)
 
 
 def _scene(people: Sequence[OwnJoints], units_m: Sequence[float | None], *, why: str) -> Scene:
-    """Return everybody at the least of the rates, for as long as all of them last."""
+    """Return the scene of all people at the lowest rate, as long as the shortest motion."""
     sources, num = [person.source for person in people], len(people)
     axes = resolve_up_axes(sources, [None] * num, ["auto"] * num, [True] * num)
     rate_hz = min(person.rate_hz or _RATE_HZ for person in people)
@@ -115,13 +115,13 @@ def _scene(people: Sequence[OwnJoints], units_m: Sequence[float | None], *, why:
 
 
 def _together(skeletons: Sequence[Skeleton], placed: Sequence[Array]) -> People:
-    """Return people on all of their skeletons at once; joints that somebody has not are at the own root, unseen."""
+    """Return people on the union of their skeletons; joints that a person lacks lie at the person's root, unseen."""
     rigs = list(dict.fromkeys(skeletons))
     starts = list(accumulate((rig.num_joints for rig in rigs), initial=0))
     names: list[str] = []
     for at, rig in enumerate(rigs):
         marks = "'" * at
-        while any(name + marks in names for name in rig.joint_names):  # a file's own name has such a mark
+        while any(name + marks in names for name in rig.joint_names):  # a name in a file may have such a mark
             marks += "'"
         names += [name + marks for name in rig.joint_names]
     parents = [

@@ -1,4 +1,4 @@
-"""The panel of the viewer: adds widgets to it, and shows in it whatever goes wrong in a callback."""
+"""The panel of the viewer: adds widgets, and shows the errors of their callbacks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from storage_schema import StorageError
 
 
 class Panel:
-    """What people see and change beside the room; panes of the viewer add their widgets to it.
+    """The panel beside the room, to which panes add their widgets.
 
     Args:
         server: Server of the viewer.
@@ -22,14 +22,14 @@ class Panel:
     def __init__(self, server: Any, lock: threading.RLock) -> None:
         self.server, self.gui, self._lock = server, server.gui, lock
         self.message: Any = None
-        """The widget with messages; None until a pane has added it."""
+        """The widget with messages; None until it is added."""
 
     def add_message(self) -> None:
         """Add the widget with messages."""
         self.message = self.gui.add_text("message", "", multiline=True, disabled=True, visible=False)
 
     def tell(self, text: str) -> None:
-        """Show a message of one line; the widget is there while there is one."""
+        """Show a message; without one, hide the widget."""
         if self.message is not None:
             set_value(self.message, text)
             self.message.visible = bool(text)
@@ -39,7 +39,7 @@ class Panel:
         self.gui.add_command(label, hotkey=key).on_trigger(self.safely(action))
 
     def button(self, label: str, action: Callable[..., None], key: str = "", *, is_alone: bool = True) -> Any:
-        """Add a button, which a key may press too."""
+        """Add a button, with an optional key."""
         button = self.gui.add_button(f"{label} ({key})" if key else label)
         button.on_click(self.safely(action, is_alone=is_alone))
         if key:
@@ -47,7 +47,7 @@ class Panel:
         return button
 
     def safely(self, action: Callable[[Any], object], *, is_alone: bool = True) -> Callable[[Any], bool]:
-        """Return a callback that shows any exception of an action and goes on; it tells whether there was none.
+        """Return a callback that shows any exception of an action, and returns whether there was none.
 
         Args:
             action: Called with the event.
@@ -67,11 +67,11 @@ class Panel:
         return run
 
     def on_change(self, widget: Any, change: Callable[[Any], object]) -> None:
-        """Call a function with a value chosen in a browser; values that the program sets are passed over."""
+        """Call a function with values chosen in a browser, not with those that the program sets."""
         widget.on_update(self.safely(lambda event: change(event.target.value) if event.client is not None else None))
 
 
 def set_value(widget: Any, value: Any) -> None:
-    """Give a widget a value if it has another one; browsers need not hear of the same one again."""
+    """Set the value of a widget if it differs, to send nothing needless to browsers."""
     if widget.value != value:
         widget.value = value

@@ -1,4 +1,4 @@
-"""How time passes in the viewer: speed and loop, and the frame that the clock is at."""
+"""Time in the viewer: speed, loop, and the current frame of the clock."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from flows.viewing.viewer import Viewer
 
 STILLS_HZ = 10.0
-"""Frames that do not follow each other in time are played at this rate."""
+"""Rate of frames that are no motion."""
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
 @dataclass
 class PlayingPane:
-    """Its widgets; when the clock was started, seconds, and at which frame."""
+    """The folder of the panel for playing; when the clock was started, seconds, and at which frame."""
 
     speed: Any
     loop: Any
@@ -41,11 +41,11 @@ class PlayingPane:
         return pane
 
     def start(self, frame: int) -> None:
-        """Let the clock go on from a frame."""
+        """Start the clock at a frame."""
         self.started_s, self.first = time.monotonic(), frame
 
     def frame(self, scene: Scene) -> tuple[int, bool]:
-        """Return the frame that the clock is at, and whether it is at its end; frames that are late are left out."""
+        """Return the frame of the clock, and whether it is at its end; late frames are skipped."""
         rate_hz = (scene.rate_hz or STILLS_HZ) * float(self.speed.value)
         frame = self.first + int((time.monotonic() - self.started_s) * rate_hz)
         if frame >= scene.num_frames and not self.loop.value:

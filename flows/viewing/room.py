@@ -1,4 +1,4 @@
-"""The room that a scene is shown in, the same in every browser: floor, bodies, what touches, and cameras."""
+"""The room of a scene, the same in every browser: floor, bodies, contacts and cameras."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from pasdedeux.evaluation.pictures import person_rgb
 from pasdedeux.spread import evenly_spread
 
 COMPARE = ("overlay", "beside", "hidden")
-"""Where what a scene is compared with stands."""
+"""Placement of the figures for comparison."""
 VIEWS = {"side": (0.0, 0.4, 3.4), "front": (3.4, 0.4, 0.0), "top": (0.0, 3.4, 0.02)}
-"""Where two people are looked at from, metres: along the line between them, up, and across that line."""
+"""Positions of viewpoints, metres: along the line between two people, up, and across that line."""
 _MARK_M = 0.035
 _SEEN_THROUGH = 0.6
-"""Opacity of bodies while contacts or penetrations are marked, most of which lie within them."""
+"""Opacity of bodies while contacts or penetrations are marked, most of which are inside them."""
 _APART_M = 0.5
 MOST_BESIDE = 4
-"""Items that are shown side by side, at most."""
+"""Largest number of items side by side."""
 _BESIDE_M = 1.8
 _OVER_M = 1.1
-"""The name of an item stands so far above the middle of its people."""
+"""Height of an item's name above the middle of its people."""
 _MOVED_M = 2.0
-"""Cameras follow where people are further than this from those before; up and down counts more."""
+"""Cameras move if people are further than this from the previous ones; height counts more."""
 _UP_COUNTS = 4.0
 _COLOURS = {"touch": (20, 160, 60), "through": (220, 20, 60)}
 _FOV_RAD = float(np.deg2rad(75.0))
 _BEHIND_M = 1.0
-"""The screen for film stands so far behind the farthest joint."""
+"""Distance of the screen for film behind the farthest joint."""
 _GREY = (120, 120, 120)
 _AMBIENT = 1.0
 _DARKER = 1.5
-"""Exponent of colours: the lights of the room make them paler."""
+"""Exponent of colours, because the lights of the room make them paler."""
 _LINE = (200, 200, 200)
 _MOST_FRAMES = 200
-"""Frames in which the two nearest are looked for, evenly spread."""
+"""Largest number of frames searched for the closest moment, evenly spread."""
 _CAMERA_M = 0.15
 """Depth of the outline that stands for a camera."""
 _NO_POINTS = np.empty((0, 3))
@@ -51,7 +51,7 @@ _NO_POINTS = np.empty((0, 3))
 
 @dataclass(frozen=True)
 class _Put:
-    """What stands for some bodies in the room: skins, and rods and balls where there are capsules."""
+    """Nodes of bodies in the room: skins, and rods and balls of capsules."""
 
     skins: list[Any]
     rods: Any = None
@@ -59,7 +59,7 @@ class _Put:
 
 
 class Room:
-    """What a scene looks like.
+    """Draws a scene.
 
     Args:
         panel: The panel, with the server of the viewer.
@@ -75,14 +75,14 @@ class Room:
         self._grey: _Put | None = None
         self._more: list[tuple[_Put, Bodies, Scene]] = []
         server.scene.set_up_direction("+y")
-        # Browsers that draw by software take three times as long with reflections, shadows and a shaded floor.
+        # Browsers without a GPU take three times as long with reflections, shadows and a shaded floor.
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.add_light_ambient("/light", intensity=_AMBIENT)
         server.on_client_connect(panel.safely(self._aim, is_alone=False))
 
     def show(self, shown: Scene, where: str, more: Mapping[str, Scene] | None = None) -> None:
-        """Put floor, bodies and camera of a scene into the room, and what it is compared with over or beside it.
+        """Show floor, bodies and camera of a scene, with the figures for comparison over or beside it.
 
         Further scenes stand beside it by turns, with their names over them.
         """
@@ -96,7 +96,7 @@ class Room:
         size = float(2 * np.ceil(max(high[0] - low[0], high[2] - low[2]) / 2) + 6)
         scene.add_line_segments("/floor", _grid(size), _LINE, thickness=1.5, thickness_units="screen", position=middle)
         self._across = across(shown.people)
-        first = points[np.argmax(np.isfinite(points[..., 0]).any(axis=(1, 2)))].reshape(-1, 3)  # with somebody
+        first = points[np.argmax(np.isfinite(points[..., 0]).any(axis=(1, 2)))].reshape(-1, 3)  # with people
         start = np.nan_to_num(first[np.isfinite(first).all(axis=-1)].mean(axis=0)) if np.isfinite(first).any() else low
         middle = np.array([start[0], floor + 0.9, start[2]])
         if np.linalg.norm((middle - self._middle) * [1.0, _UP_COUNTS, 1.0]) > _MOVED_M:
@@ -161,7 +161,7 @@ class Room:
         return len(touch), len(through)
 
     def show_film(self, image: Array | None) -> None:
-        """Show what the camera of the scene saw on a screen behind people: seen through the camera, they fall on it."""
+        """Show the camera's image on a screen behind people, so that they match it when seen through the camera."""
         camera = self._scene.camera
         if image is None or camera is None:
             self._show_node("/film", is_shown=False)
@@ -175,17 +175,17 @@ class Room:
             self._film.image, self._film.visible = image, True
 
     def look_through(self, client: Any) -> None:
-        """Give a browser the view of the camera that saw the scene."""
+        """Give a browser the view of the scene's camera."""
         if self._scene.camera is not None and client is not None:
             wxyz, position, fov = _view_of(self._scene.camera)
-            self._middle = np.full(3, np.inf)  # what is shown next is looked at from where it is seen well
+            self._middle = np.full(3, np.inf)  # the next item gets a good view again
             with client.atomic():
                 client.camera.fov, client.camera.wxyz, client.camera.position = fov, wxyz, position
 
     def _put_bodies(
         self, where: str, bodies: Bodies, grey: tuple[int, int, int] | None = None, away: float = 0.0, **more: Any
     ) -> _Put:
-        """Show bodies; the nodes of as many capsules are used again."""
+        """Show bodies, with existing nodes if the number of capsules is the same."""
         here, colours, name = bodies.at(0), bodies.colours(grey), f"{where}/{len(bodies.radii_m)}"
         if name not in self._groups:
             self._groups.add(name)
@@ -214,7 +214,7 @@ class Room:
         )
 
     def _instances(self, name: str, places: Array, sizes: Array, colours: Any, **more: Any) -> Any:
-        """Show instances of rods or balls: where they are there already, in their place."""
+        """Show instances of rods or balls, with existing nodes if there are some."""
         pale = _pale(colours)
         if (handle := self._nodes.get(name)) is not None:
             handle.batched_positions, handle.batched_scales, handle.batched_colors = places, sizes, pale
@@ -233,7 +233,7 @@ class Room:
             handle.visible = is_shown
 
     def _aim(self, client: Any) -> None:
-        """Turn a browser's camera to the people; on a narrow page, whose lower half the panel takes, up there."""
+        """Point a browser's camera at the people; on a narrow page above the panel, which takes the lower half."""
         is_narrow = client.camera.image_width < client.camera.image_height
         with client.atomic():
             client.camera.fov = _FOV_RAD
@@ -241,22 +241,22 @@ class Room:
             client.camera.look_at = self._place(*((0.0, -2.4, 0.0) if is_narrow else (0.5, -0.1, 0.0)))
 
     def view(self, client: Any, name: str) -> None:
-        """Turn a browser's camera to the people from one of `VIEWS`."""
+        """Point a browser's camera at the people from one of `VIEWS`."""
         with client.atomic():
             client.camera.position, client.camera.look_at = self._place(*VIEWS[name]), self._middle
 
     def _to_right(self, away: float) -> Array:
-        """Return a way along the line between the two people, to the right of who looks across it."""
+        """Return a displacement along the line between the two people, to the right of a viewer across it."""
         return away * np.array([self._across[1], 0.0, -self._across[0]])
 
     def _place(self, right: float, up: float, near: float) -> Array:
-        """Return a place about the middle of the people, metres: near to who looks across the line between the two."""
+        """Return a position relative to the middle of the people, metres; `near` is across the line between them."""
         x, z = self._across
         return np.asarray(self._middle + np.array([right * z + near * x, up, near * z - right * x]))
 
 
 def across(people: People) -> Array:
-    """Return the horizontal direction (x, z) of length 1 across the line between the first two people, where z > 0.
+    """Return the horizontal unit vector (x, z), z > 0, across the line between the first two people.
 
     Of the frame in which they are nearest to each other; (0, 1) where there are fewer.
     """
@@ -273,7 +273,7 @@ def across(people: People) -> Array:
 
 
 def _grid(size: float) -> Array:
-    """Return the lines of a square grid of metres on the floor about the origin, a metre at a time, (n, 2, 3)."""
+    """Return the lines (n, 2, 3) of a square grid of metres on the floor around the origin."""
     at = np.arange(-size / 2, size / 2 + 0.5)
     x, z = (one.ravel() for one in np.meshgrid(at, at[:-1]))
     along = np.stack([np.stack([x, 0 * x, z], axis=-1), np.stack([x, 0 * x, z + 1.0], axis=-1)], axis=1)
@@ -289,7 +289,7 @@ class _Mesh:
 
 
 def _surface(radii: Array, heights: Array, sides: int) -> _Mesh:
-    """Return a surface of revolution round z, closed where its radii end with 0."""
+    """Return a surface of revolution around z, closed if its radii end with 0."""
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     corners = [np.column_stack([radius * ring, np.full(sides, z)]) for radius, z in zip(radii, heights, strict=True)]
@@ -308,7 +308,7 @@ def _ball(sides: int) -> _Mesh:
 
 
 def _pale(colours: Array) -> Array:
-    """Return colours, 0 to 255, as they must be given to look like these under the room's lights."""
+    """Return the colours, 0 to 255, that look like these under the room's lights."""
     return np.asarray((255.0 * (colours / 255.0) ** _DARKER).astype(np.uint8))
 
 
@@ -330,7 +330,7 @@ def _place(instances: Any, places: Array, sizes: Array) -> None:
 
 
 def _view_of(camera: PinholeCamera) -> tuple[Array, Array, float]:
-    """Return turn (w, x, y, z) and place of a camera that looks along its z, y down, and its vertical field of view."""
+    """Return rotation (w, x, y, z), looking along z with y down, position and vertical field of view of a camera."""
     world_from_camera = camera.camera_from_world_rotmat.T @ np.diag([1.0, -1.0, -1.0])
     turn = Rotation.from_matrix(world_from_camera).as_quat()
     return turn[[3, 0, 1, 2]], camera.position_m, float(2 * np.arctan(camera.image_size_px[1] / 2 / camera.focal_px))

@@ -1,4 +1,4 @@
-"""The folder of the panel with a link to the moment, and pictures and clips that a browser saves."""
+"""The folder of the panel with a link to the moment, and buttons that save pictures and clips."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LIMIT_S = 60.0
 
 @dataclass(frozen=True)
 class LinkPane:
-    """Its widget."""
+    """The link to the moment."""
 
     link: Any
 
@@ -44,13 +44,13 @@ class LinkPane:
 
 
 def save_picture(viewer: Viewer, client: Any) -> None:
-    """Send a browser what it shows, as a PNG."""
+    """Send a browser its view as a PNG."""
     image = client.get_render(client.camera.image_height, client.camera.image_width, timeout=_LIMIT_S)
     client.send_file_download(f"{_name(viewer)}.png", encode(image, ".png"), save_immediately=True)
 
 
 def save_clip(viewer: Viewer, client: Any) -> None:
-    """Send a browser what it shows in the next seconds, as an animated WebP.
+    """Send a browser its view of the next seconds as an animated WebP.
 
     Raises:
         InputError: Somebody went on to something else meanwhile.
@@ -81,12 +81,12 @@ def _name(viewer: Viewer) -> str:
 
 
 def encode(image: Array, suffix: str) -> bytes:
-    """Return an image (height, width, 3 or 4), RGB, as the bytes of a file of this kind."""
+    """Encode an image (height, width, 3 or 4), RGB, as a file of this kind."""
     return cv2.imencode(suffix, cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGR))[1].tobytes()
 
 
 def encode_clip(images: Sequence[Array], rate_hz: float) -> bytes:
-    """Return images (height, width, 3), RGB, as an animated WebP that repeats."""
+    """Encode images (height, width, 3), RGB, as an animated WebP that repeats."""
     animation = cv2.Animation()
     animation.frames = [cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGRA) for image in images]
     animation.durations = [round(1000.0 / rate_hz)] * len(images)

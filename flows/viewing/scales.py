@@ -1,4 +1,4 @@
-"""Sliders for whatever is scaled by itself - people, limbs, bones - that move through the variants that were built."""
+"""Sliders for everything that is scaled separately (people, limbs, bones), which select among the built variants."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Scales:
         self.sliders: list[Any] = []
 
     def offer(self, scales: Mapping[int, Any], own_scale: int) -> None:
-        """Set the sliders to the scales of the item that is shown, or hide them where it has none.
+        """Set the sliders to the scales of the shown item, or hide them if it has none.
 
         Args:
             scales: Scales of the bones of those items that have some, by their numbers.
@@ -50,7 +50,7 @@ class Scales:
             slider.value = float(values[self._items.index(own_scale)])
 
     def move(self, axis: int, value: float) -> None:
-        """Show the variant nearest to the scales of the sliders, of which one was moved."""
+        """Show the variant nearest to the scales of the sliders after one was moved."""
         wanted: Array = self._scales[self._items.index(self._own)].copy()
         wanted[axis] = value
         weight = np.where(np.arange(len(wanted)) == axis, 2.0, 1.0)

@@ -1,4 +1,4 @@
-"""What the viewer shows at once: people over time, what stands behind them, and what is known of each frame."""
+"""A scene of the viewer: people over time, figures for comparison, and facts about each frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pasdedeux.skeletons import Skeleton
 
 @dataclass(frozen=True)
 class People:
-    """People over time: positions (frame, person, joint, 3), metres, Y up, NaN where somebody is not there."""
+    """People over time: positions (frame, person, joint, 3), metres, Y up, NaN for absent people."""
 
     skeleton: Skeleton
     positions_m: Array
@@ -28,7 +28,7 @@ class People:
 
 @dataclass(frozen=True)
 class Flat:
-    """2D poses of a frame (person, joint, 2), y down, NaN: missing, in an image of this size, and what it is called.
+    """2D poses of a frame (person, joint, 2), y down, NaN: missing, with size and title of their image.
 
     `image` reads that image (height, width, 3), RGB, of any size, which may be gone; None where there never was one.
     """
@@ -92,25 +92,25 @@ class Scene:
 
     @cached_property
     def is_flat(self) -> bool:
-        """Who is shown is an image that stands in the room."""
+        """Whether the people are an image that stands in the room."""
         return bool(np.fmax.reduce(np.abs(self.people.positions_m[..., 2]), axis=None, initial=0.0) == 0.0)
 
     def number_of(self, frame: int) -> int:
-        """Return the number that the store has for a frame."""
+        """Return the stored number of a frame."""
         return frame if self.numbers is None else int(self.numbers[frame])
 
     def frame_at(self, number: int) -> int:
-        """Return the frame of a number, or the next one where that is in a gap."""
+        """Return the frame of a stored number, or the next one if that is in a gap."""
         return number if self.numbers is None else int(np.searchsorted(self.numbers, number))
 
     def row_of(self, frame: int) -> int:
-        """Return the first row of the item that is of a frame."""
+        """Return the first row of a frame in the item."""
         return int(np.flatnonzero(self.frame_of_row == frame)[0])
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Rows as frames and people: which frame and person each row is (row,)."""
+    """Arranges rows by frame and person: the frame and person of each row (row,)."""
 
     frames: Integers
     persons: Integers

@@ -1,4 +1,4 @@
-"""What was seen of a sequence: 2D poses, their film, the camera, and who was captured behind virtual video."""
+"""The footage of a sequence: 2D poses, film, camera, and the captured people of virtual video."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from tasks.facts import SequenceFacts
 from tasks.reconstruction import read_subtracted_motion
 
 _NUM_LOCATED = 60
-"""Frames by which the camera of a reconstruction is located."""
+"""Frames used to locate the camera of a reconstruction."""
 _LIMBS = [name for name in PAIR17.joint_names if name.endswith(("shoulder", "elbow", "wrist", "knee", "ankle"))]
 LIMBS17, LIMBS22 = ([skeleton.index(name) for name in _LIMBS] for skeleton in (PAIR17, BODY22))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What was seen of a sequence: annotated people by place, the camera of virtual video, the take behind it."""
+    """The footage of a sequence: annotated people by place, the camera of virtual video and its take."""
 
     store: Store
     ref: ArtifactRef | None
@@ -51,15 +51,15 @@ class Seen:
 
     @property
     def film_words(self) -> tuple[str, ...]:
-        """Why its film cannot be shown, once somebody has tried."""
+        """Why its film could not be read."""
         return (self.film.trouble,) if self.film is not None and self.film.trouble else ()
 
     def image(self, frame: int) -> Callable[[], Array | None] | None:
-        """Return what reads the image of a frame; None where there is no film."""
+        """Return a function that reads the image of a frame; None without a film."""
         return None if self.film is None else partial(self.film.image, int(frame))
 
     def steady_image(self, frame: int) -> Array | None:
-        """Return the image of a frame as the located camera sees it: less the motion that was subtracted."""
+        """Return the image of a frame in the view of the located camera, without the subtracted camera motion."""
         image = None if self.film is None else self.film.image(int(frame))
         motion = None if self.ref is None else _motion(self.store, self.ref, self.sequence_id)
         if image is None or motion is None:
@@ -73,7 +73,7 @@ class Seen:
     def locate_camera(
         self, upright_m: Array, grid: Grid, camera_from_upright: Array, lens_factor: float
     ) -> PinholeCamera | None:
-        """Return the camera that sees a reconstruction (frame, person, 22, 3) where its people were seen in 2D.
+        """Return the camera that projects a reconstruction (frame, person, 22, 3) onto its 2D poses.
 
         None where too little of them was seen.
         """
@@ -105,7 +105,7 @@ class Seen:
         return None if self.ref is None else _truth(self.store, self.ref, "body22_m").cameras.get(self.sequence_id)
 
     def truth(self, frames: Integers, persons: Integers, column: str, *, in_world: bool = False) -> Array | None:
-        """Return who was captured (frame, person, joint, 3), in camera axes or the world's; None where unknown."""
+        """Return the captured people (frame, person, joint, 3), in camera or world axes; None if unknown."""
         if self.ref is None or not SequenceFacts.of(self.store.manifest(self.ref)).is_virtual:
             return None
         truth = _truth(self.store, self.ref, column)
@@ -163,7 +163,7 @@ def _lenses(store: Store, ref: ArtifactRef) -> Mapping[str, Array]:
 
 
 def size_of(width: float, height: float, points_px: Array) -> tuple[int, int]:
-    """Return the size of an image; one that is unknown holds everything that was seen."""
+    """Return the size of an image; if unknown, one that holds all points."""
     if np.isfinite([width, height]).all():
         return int(width), int(height)
     if not np.isfinite(points_px).any():

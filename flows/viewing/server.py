@@ -1,4 +1,4 @@
-"""The server of the viewer: viser on this machine alone, for whoever has its address, and no page from elsewhere.
+"""The server of the viewer: viser for this machine only, with a secret address and no content from other hosts.
 
 Viser checks neither who asks (Host) nor which page does (Origin), and offers a tunnel through a host of its makers.
 Here a request with a foreign Host or Origin is refused before the handshake, the tunnel is gone, and the page may load
@@ -31,7 +31,7 @@ _POLICY = (
 
 
 STRIP_LEFT_PX = 15
-"""Distance of the timeline from the left and the lower edge of the window; the page knows its panel by it."""
+"""Distance of the timeline from the left and the lower edge of the window, by which the page finds its panel."""
 _HEAD = """<title>pasdedeux</title><style>
 [data-floating-window][style*="left: STRIPpx"] { width: calc(100vw - 365px) !important; }
 [data-floating-window][style*="left: STRIPpx"] img { width: calc(100% - 167px); margin-left: 111px; }
@@ -103,7 +103,7 @@ def start_server(
 
 
 def _refuse_used(port: int) -> None:
-    """Refuse a port that is in use: viser would take another one and say nothing."""
+    """Refuse a port that is in use; viser would silently take another one."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -115,7 +115,7 @@ def _refuse_used(port: int) -> None:
 
 @contextlib.contextmanager
 def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[Pointer], None]) -> Iterator[None]:
-    """Put the checks in front of what a server that is started in this block answers."""
+    """Add the checks to a server that is started in this block."""
     import websockets.asyncio.server as sockets
 
     plain, head = sockets.serve, _HEAD.replace("TOKEN", token).encode()
@@ -129,12 +129,12 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
             told, slash, _ = request.path[1:].partition("?")[0].partition("/")
             if not hmac.compare_digest(told.encode(), token.encode()):
                 return connection.respond(403, "refused: the address lacks the token that `pasdedeux view` printed\n")
-            if not slash and not is_socket:  # the page names its parts relative to its folder
+            if not slash and not is_socket:  # the page has relative links
                 moved_on = connection.respond(308, "")
                 moved_on.headers["Location"] = f"/{token}/{request.path[len(told) + 1 :]}"
                 return moved_on
             request.path = f"/{request.path[len(told) + len(slash) + 1 :]}"
-            # A page of another origin cannot set this header: it would have to ask first, and gets no answer.
+            # A page of another origin cannot set this header without a preflight request, which fails.
             if "X-Pointer" in request.headers and (moved := _POINTER.fullmatch(request.path)):
                 on_pointer(Pointer(moved[1], float(moved[2]), float(moved[3])))  # type: ignore[arg-type]
                 return connection.respond(204, "")
@@ -143,7 +143,7 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
             response = process_request(connection, request)
             if response is not None:
                 response.body = response.body.replace(b"<title>Viser</title>", head, 1)
-                response.headers.pop("Content-Length", None)  # of a path that is not there it lacks
+                response.headers.pop("Content-Length", None)  # missing for unknown paths
                 response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Content-Security-Policy"] = _POLICY.format(sockets=f"ws://{host}")
                 response.headers["X-Content-Type-Options"] = "nosniff"
@@ -151,7 +151,7 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
                 response.headers["Referrer-Policy"] = "no-referrer"
                 address = urlsplit(request.path)
                 if address.path == "/" and (places := parse_qs(address.query).get("at")):
-                    # Apart: who holds the viewer may wait for what only this thread can answer.
+                    # In a thread: the holder of the viewer's lock may wait for an answer of this one.
                     threading.Thread(target=on_visit, args=(places[0],), daemon=True).start()
             return response
 
@@ -165,7 +165,7 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
 
 
 def refusal(host: str, origin: str | None, *, is_socket: bool) -> str | None:
-    """Say why a request is refused, by the host it asks for and the page it comes from; None where it is not.
+    """Return why a request is refused, by its host and origin; None if it is not.
 
     >>> refusal("127.0.0.1:8080", None, is_socket=False) is None
     True

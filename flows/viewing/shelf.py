@@ -1,4 +1,4 @@
-"""What there is to look at, by manifests alone: parts of a store, the items in one, and where a reference points.
+"""The contents of the viewer, by manifests alone: parts of a store, their items, and the place of a reference.
 
 An item is what is played at once, such as a variant, a chain or a take; its rows are read when it is looked at.
 """
@@ -36,10 +36,10 @@ from storage_schema.table_data import concatenate
 from tasks.curation import IDENTITY
 
 GROUPS = {**IDENTITY, "lifted_pairs": ("method",), "draws": ("density", "seed_index", "chain"), "seeds": ("origin",)}
-"""Tables that can be looked at, and the columns by which their rows are items."""
+"""Tables that can be viewed, with the columns that group their rows into items."""
 SINGLE_IMAGES = "single images"
 _STILLS = 3
-"""Sequences of fewer frames than this are single images: they make one item."""
+"""Sequences of fewer frames are single images, which make one item."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class Part:
 
 @dataclass(frozen=True)
 class Item:
-    """What is played at once: its names, its rows in each artifact that has some, and what it is called."""
+    """Rows that are played together: names, rows by artifact, and label."""
 
     names: tuple[str, ...]
     pieces: tuple[tuple[ArtifactRef, Integers], ...]
     label: str
 
     def row(self, number: int) -> tuple[ArtifactRef, int]:
-        """Return the artifact and the row in it of a row of the item."""
+        """Return artifact and row there of a row of the item."""
         for ref, rows in self.pieces:
             if number < len(rows):
                 return ref, int(rows[number])
@@ -68,7 +68,7 @@ class Item:
         raise IndexError(number)
 
     def number(self, ref: ArtifactRef, row: int) -> int | None:
-        """Return which row of the item a row of an artifact is; None where it is of another item."""
+        """Return the row of the item for a row of an artifact; None if that is not in the item."""
         before = 0
         for own, rows in self.pieces:
             if own == ref and len(positions := np.flatnonzero(rows == row)):
@@ -77,7 +77,7 @@ class Item:
         return None
 
     def read(self, store: Store, table: str, columns: Sequence[str]) -> TableData:
-        """Read columns of its rows, and no others, one after another."""
+        """Read columns of its rows, artifact by artifact."""
         parts = []
         for ref, rows in self.pieces:
             data = store.read(ref, table, columns=columns, rows=slice(int(rows[0]), int(rows[-1]) + 1))
@@ -87,7 +87,7 @@ class Item:
 
 
 class Found(NamedTuple):
-    """Where something is: the part, and the numbers of the item in it and of the row in that."""
+    """A place: the part, the number of the item in it, and the row of the item."""
 
     part: Part
     item: int
@@ -95,7 +95,7 @@ class Found(NamedTuple):
 
 
 class Shelf:
-    """What can be looked at of some artifacts.
+    """The viewable contents of some artifacts.
 
     Args:
         store: The store.
@@ -120,7 +120,7 @@ class Shelf:
         self.film = lru_cache(maxsize=None)(lambda ref: find_film(store.manifest(ref), ingest))
         self.shot = lru_cache(maxsize=4)(lambda ref: find_shot(store.manifest(ref), ingest))
         self.corrected: dict[ArtifactRef, Mapping[tuple[int, int], Array]] = {}
-        """2D joints of film (17, 2) by frame and person that somebody has moved, NaN: those that are stored."""
+        """Corrected 2D joints of film (17, 2) by frame and person; NaN: as stored."""
         self.beside = tuple(dict.fromkeys([*shown, *beside]))
         refs_by_item: dict[tuple[str, str], list[ArtifactRef]] = {}
         for ref in dict.fromkeys(shown):
@@ -134,7 +134,7 @@ class Shelf:
         self.items = lru_cache(maxsize=8)(self._items)
 
     def _items(self, part: Part) -> list[Item]:
-        """Return the items of a part, from the columns that name them alone."""
+        """Return the items of a part, from the grouping columns alone."""
         columns = GROUPS[part.table]
         rows_by_item: dict[tuple[str, ...], list[tuple[ArtifactRef, Integers]]] = {}
         for ref in part.refs:
@@ -150,7 +150,7 @@ class Shelf:
         return [Item(names, tuple(pieces), _label(columns, names)) for names, pieces in rows_by_item.items()]
 
     def having(self, table: str, partition: str | None = None) -> list[ArtifactRef]:
-        """Return the artifacts at hand with this table, of one partition where one is given."""
+        """Return the available artifacts with a table, of one partition or of all."""
         manifests = map(self.store.manifest, self.beside)
         return [
             manifest.ref
@@ -159,7 +159,7 @@ class Shelf:
         ]
 
     def find(self, text: str) -> Found:
-        """Return where a reference with or without a row points to.
+        """Return the place of a reference, with or without a row.
 
         Raises:
             UnknownReference, InputError: It points to nothing here.
@@ -175,7 +175,7 @@ class Shelf:
 
 
 def open_shelf(store: Store, word: str | None) -> Shelf:
-    """Return what a study, a run, a version of a dataset or a reference names; the newest study for no word.
+    """Return the shelf of a study, a run, a version of a dataset or a reference; by default of the newest study.
 
     Raises:
         InputError: There is nothing to look at.
@@ -213,7 +213,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
 
 
 def _label(columns: Sequence[str], names: Sequence[str]) -> str:
-    """Return the name of an item; a number says of what it is.
+    """Return the label of an item; numbers get the name of their column.
 
     >>> _label(("density", "seed_index", "chain"), ("ic", "0", "1"))
     'ic seed 0 chain 1'
@@ -226,13 +226,13 @@ def _label(columns: Sequence[str], names: Sequence[str]) -> str:
 
 
 def moment_reference(part: Part, item: Item, row: int) -> str:
-    """Return the reference of a row of an item, by the content of its artifact: it outlives runs and keys."""
+    """Return the reference of a row of an item by the artifact's content, which outlives runs and keys."""
     ref, at = item.row(row)
     return f"{part.table}@{ref.content_digest[:16]}#{at}"
 
 
 def moment_in(text: str) -> str:
-    """Return the reference in a link to a moment; one by itself is that.
+    """Return the reference in a link to a moment, or a bare reference.
 
     Raises:
         InputError: It is no address.

@@ -1,4 +1,4 @@
-"""The top of the panel: the item and the way it is drawn; and the timeline below the room."""
+"""The top of the panel, with the item and its display, and the timeline below the room."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from flows.viewing.viewer import Viewer
 
 MOST_FIGURES = 6
-"""Figures of an item that are shown at once; the others are folded away."""
+"""Figures of an item that are shown unfolded."""
 
 
 class Folded:
-    """Text in a folder that is closed, and there only while there is some."""
+    """Text in a closed folder, which is hidden if empty."""
 
     def __init__(self, gui: Any, label: str) -> None:
         self._folder = gui.add_folder(label, expand_by_default=False, visible=False)
@@ -40,7 +40,7 @@ class Folded:
 
 @dataclass(frozen=True)
 class ShownPane:
-    """Its widgets, from above."""
+    """The top of the panel; widgets from above."""
 
     part: Any
     item: Any
@@ -60,9 +60,9 @@ class ShownPane:
 
     @classmethod
     def build(cls, panel: Panel, viewer: Viewer) -> Self:
-        """Add the widgets to the panel, and the keys that move through frames and items."""
+        """Add the widgets to the panel, and the keys for frames and items."""
         gui = panel.gui
-        strip = gui.add_panel()  # below the room, as wide as that (`server.py`)
+        strip = gui.add_panel()  # below the room and as wide (`server.py`)
         with strip.add_tab("Time"):
             timeline = gui.add_slider("frame", 0, 1, 1, initial_value=0)
             ticks = gui.add_image(flat_picture([]), label=TICKS, visible=False)
@@ -108,7 +108,7 @@ class ShownPane:
         set_value(self.part, part_label(shown))
 
     def show(self, scene: Scene) -> None:
-        """Offer what a scene has: something to compare with, verdicts, a camera, film, nearest poses."""
+        """Show the widgets that apply to a scene: comparison, verdicts, camera, film, nearest poses."""
         needed = {"compare": scene.behind, "through": scene.camera, "failing": scene.levels, "film": scene.film}
         for name, value in {**needed, "nearest": scene.nearest}.items():
             getattr(self, name).visible = value is not None

@@ -1,4 +1,4 @@
-"""The picture beside the 3D: 2D poses, over the image they were seen in where there is one; joints can be dragged.
+"""The side picture: 2D poses, over their image if there is one; joints can be dragged.
 
 A page tells the pointer over such a picture as shares of its size (`server.py`), so it may be shown at any size, as in
 the window that opens when it is enlarged.
@@ -18,19 +18,19 @@ from pasdedeux.arrays import Array
 from pasdedeux.evaluation.pictures import person_rgb, shade_of
 
 DRAG_LABEL = "2D: drag a joint"
-"""What stands over the picture while joints can be dragged; the script in the page knows the picture by it."""
+"""Label of the picture while joints can be dragged, by which the script in the page finds it."""
 PAPER = 250
 INK = (60, 60, 60)
 _SIZE, _IMAGE_SIZE, _SMALL_SIZE = (640, 480), (960, 720), (320, 240)
-"""Largest panel of 2D poses alone, of an image, and of one of several."""
+"""Largest sizes of a panel of 2D poses alone, of one with an image, and of one of several."""
 _TITLE_PX = 20
 _REACH = 0.04
-"""A joint is taken hold of from so near, as a share of the panel's width."""
+"""Largest distance at which a joint is grabbed, as a share of the panel's width."""
 
 
 @dataclass(frozen=True)
 class Pointer:
-    """Where a pointer is, as shares of the picture's width and height, and what it does."""
+    """Position of a pointer as shares of the picture's width and height, and its action."""
 
     phase: Literal["down", "move", "up"]
     across: float
@@ -39,7 +39,7 @@ class Pointer:
 
 @dataclass(frozen=True)
 class Dragged:
-    """A joint that is dragged: whose, which, and to where, (2,) pixels of the image; and whether it was let go."""
+    """A dragged joint: person, joint, target (2,) in pixels of the image, and whether it was released."""
 
     person: int
     joint: int
@@ -49,7 +49,7 @@ class Dragged:
 
 @dataclass(frozen=True)
 class Panel:
-    """Where the image of some 2D poses stands in the picture: its corner and size, and pixels for each of its own."""
+    """Place of the image of 2D poses in the picture: corner, size, and scale."""
 
     corner: Array
     size: Array
@@ -63,11 +63,11 @@ class Panel:
         return cls(np.array([(largest[0] - size[0]) / 2, _TITLE_PX]), size, scale)
 
     def place(self, points_px: Array) -> Array:
-        """Return where pixels of the image (..., 2) are in the picture."""
+        """Return the position of pixels of the image (..., 2) in the picture."""
         return np.asarray(self.corner + self.scale * points_px)
 
     def point(self, placed: Array) -> Array:
-        """Return the pixel of the image (2,) at a place of the picture, the nearest one where that is outside."""
+        """Return the pixel of the image (2,) at a place of the picture, or the nearest one."""
         return np.asarray(np.clip((placed - self.corner) / self.scale, 0.0, self.size / self.scale))
 
 
@@ -82,14 +82,14 @@ class SidePicture:
         self._handle = gui.add_image(flat_picture([]), label=None, visible=False)
         self._on_drag: Callable[[Dragged], None] | None = None
         self.flats: Sequence[Flat] = ()
-        """2D poses whose joints a pointer finds: those of what is shown, also while the picture is not drawn yet."""
+        """2D poses for the pointer: those of the current scene, also before they are drawn."""
         self._held: tuple[int, int] | None = None
         self.chosen: tuple[int, int] | None = None
-        """Person and joint that a click far from every joint places."""
+        """Person and joint that a click far from all joints moves."""
 
     @property
     def on_drag(self) -> Callable[[Dragged], None] | None:
-        """What hears of joints that are dragged; nothing can be dragged where it is None."""
+        """Receives dragged joints; None: nothing can be dragged."""
         return self._on_drag
 
     @on_drag.setter
@@ -100,14 +100,14 @@ class SidePicture:
             self._handle.label = label
 
     def draw(self, flats: Sequence[Flat]) -> None:
-        """Draw 2D poses, or nothing where there are none."""
+        """Draw 2D poses, or hide the picture without any."""
         if flats:
             self._handle.image = flat_picture(flats)
         if self._handle.visible is not bool(flats):
             self._handle.visible = bool(flats)
 
     def point(self, pointer: Pointer) -> None:
-        """Take hold of the joint under a pointer, drag it, or let it go."""
+        """Grab the joint under a pointer, drag it, or release it."""
         if self._on_drag is None or not self.flats:
             self._held = None
             return
@@ -124,7 +124,7 @@ class SidePicture:
 
 
 def joint_at(flat: Flat, panel: Panel, placed: Array, reach: float) -> tuple[int, int] | None:
-    """Return person and joint of 2D poses that are nearest to a place of the picture, None where none is in reach."""
+    """Return person and joint nearest to a place of the picture; None if none is in reach."""
     away = np.linalg.norm(panel.place(flat.points_px) - placed, axis=-1)
     if not (np.nan_to_num(away, nan=np.inf) <= reach).any():
         return None
@@ -133,7 +133,7 @@ def joint_at(flat: Flat, panel: Panel, placed: Array, reach: float) -> tuple[int
 
 
 def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
-    """Return width and height of the first panel of a picture: by itself, or over film, it is as high as its image."""
+    """Return width and height of the first panel of a picture; alone, or over film, it is as high as its image."""
     is_over_film = bool(flats) and flats[0].image is not None
     if len(flats) != 1 and not is_over_film:
         return _SMALL_SIZE
@@ -142,7 +142,7 @@ def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
 
 
 def flat_picture(flats: Sequence[Flat]) -> Array:
-    """Return 2D poses as one image (height, width, 3), RGB: the first above the others where it is large, two in a row.
+    """Return 2D poses as one image (height, width, 3), RGB: a large first one above the others, two in a row.
 
     Below film there are three in a row.
     """

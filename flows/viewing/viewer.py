@@ -1,4 +1,4 @@
-"""The viewer: one session that every browser on it shares, its panel, its keys, and the clock that plays."""
+"""The viewer: one session for all browsers, with panel, keys and clock."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TICK_S = 1.0 / 30.0
 
 
 class Viewer:
-    """What is shown, and the panel to change it with.
+    """The shown item, and the panel that controls it.
 
     Args:
         shelf: What can be looked at.
@@ -54,19 +54,19 @@ class Viewer:
         self.index = self.frame = 0
         self.is_playing = False
         self.pose: Array | None = None
-        """Positions that are shown in place of the scene's, while somebody changes them."""
+        """Positions shown in place of the scene's, while they are changed."""
         self.image_px: Array | None = None
         """The same for the 2D poses of the side picture (person, joint, 2), pixels."""
         self.on_moment: list[Callable[[], None]] = []
         self.wants_flat = False
-        """Whether 2D poses are shown as such, where they could be shown as what was captured."""
+        """Whether 2D poses are shown as such, even if the captured people are known."""
         self._token = secrets.token_urlsafe(24)
         self._num_marks: tuple[int, ...] = (0, 0)
         self.ended = threading.Event()
         self._looked = threading.Event()
         self._pointers: queue.SimpleQueue[Pointer | None] = queue.SimpleQueue()
         first = shelf.find(at) if at is not None else (self.part, 0, None)
-        with self.lock:  # who visits early waits
+        with self.lock:  # early visitors wait
             self.server = start_server(port, self._token, self.visit, self._pointers.put, "pasdedeux")
             self.panel = Panel(self.server, self.lock)
             self.room = Room(self.panel)
@@ -78,21 +78,21 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Address of the page, with the token that only who started the viewer knows."""
+        """Address of the page, with its secret token."""
         return f"http://127.0.0.1:{self.server.get_port()}/{self._token}/"
 
     @property
     def item(self) -> Item:
-        """The item that is shown."""
+        """The shown item."""
         return self.shelf.items(self.part)[self.index]
 
     @property
     def moment(self) -> Moment:
-        """The moment that is shown."""
+        """The shown moment."""
         return Moment(self.part, self.item, self.scene, self.frame)
 
     def stop(self) -> None:
-        """End the clock and the server."""
+        """Stop the clock and the server."""
         self.ended.set()
         self._looked.set()
         self._pointers.put(None)
@@ -101,15 +101,15 @@ class Viewer:
         with suppress(RuntimeError):
             self.server.stop()
 
-    # What is shown.
+    # The shown item.
 
     def visit(self, text: str) -> None:
-        """Go to the moment that a reference, or a link to one, points to; says so where it points to nothing."""
+        """Go to the moment of a reference or a link; show a message if it does not exist."""
         with self.lock:
             self.panel.safely(lambda _: self.show_part(*self.shelf.find(moment_in(text))))(None)
 
     def show_part(self, part: Part, index: int = 0, row: int | None = None) -> None:
-        """Show an item of a part at one of its rows; what cannot be read leaves everything as it is."""
+        """Show an item of a part at one of its rows; nothing changes if it cannot be read."""
         with self.lock:
             scene = self._read(part, index)
             self.part = part
@@ -126,7 +126,7 @@ class Viewer:
         self.index, self.pose, self.image_px = index, None, None
         self.panel.tell("")  # the message was about another item
         self._show_scene(scene, row)
-        pyarrow.default_memory_pool().release_unused()  # it keeps what the last item took, for the next one
+        pyarrow.default_memory_pool().release_unused()  # else it keeps the memory of the last item
 
     def _read(self, part: Part, index: int) -> Scene:
         scene = KINDS[part.table].scene(self.shelf, part, self.shelf.items(part)[index])
@@ -136,7 +136,7 @@ class Viewer:
         return scene if gaps is None else replace(scene, curves={**scene.curves, GAP: gaps})
 
     def show_beside(self, pair_m: Array, before_m: Array) -> None:
-        """Show a pair in place of this moment, and over it the one of before, until another moment is shown."""
+        """Show a pair in place of this moment, with the previous pair over it, until another moment is shown."""
         row = self.moment.row
         rows = np.where(np.arange(len(self.scene.frame_of_row)) == row, 0, -1)
         pair, before = (People(PAIR17, positions_m[None]) for positions_m in (pair_m, before_m))
@@ -147,7 +147,7 @@ class Viewer:
     def _show_scene(self, scene: Scene, row: int | None) -> None:
         with self.lock:
             self.scene = scene
-            self.side.flats = ()  # what it shows yet is of something else
+            self.side.flats = ()  # it still shows the previous scene
             self.curation.begin()
             self.listing.mark(self.index)
             self.room.show(scene, str(self.shown.compare.value), self._beside())
@@ -159,7 +159,7 @@ class Viewer:
             self.seek(0 if row is None else int(scene.frame_of_row[row]))
 
     def _beside(self) -> dict[str, Scene]:
-        """Return the next items of the list by their labels, as many as are to be shown beside this one."""
+        """Return the next items of the list by their labels, as many as to be shown beside this one."""
         wanted = [self.listing.after(self.index, by) for by in range(1, int(self.shown.beside.value))]
         others = [at for at in dict.fromkeys(wanted) if at is not None and at != self.index]
         return {self.listing.label(at): self._read(self.part, at) for at in others}
@@ -171,7 +171,7 @@ class Viewer:
                 self.show_item(index)
 
     def seek(self, frame: int) -> None:
-        """Show a frame; the clock goes on from there."""
+        """Show a frame; the clock continues from there."""
         with self.lock:
             self.frame = int(np.clip(frame, 0, self.scene.num_frames - 1))
             self.playing.start(self.frame)
@@ -182,12 +182,12 @@ class Viewer:
                 changed()
 
     def step(self, by: int) -> None:
-        """Stop, and go some frames on."""
+        """Stop, and move by some frames."""
         self.play(False)
         self.seek(self.frame + by)
 
     def play(self, is_playing: bool | None = None) -> None:
-        """Play, or stop; the other one of both where nothing is said."""
+        """Play or stop; toggle by default."""
         with self.lock:
             self.is_playing = not self.is_playing if is_playing is None else is_playing
             self.shown.play.label = "Stop (space)" if self.is_playing else "Play (space)"
@@ -197,7 +197,7 @@ class Viewer:
             self.look()
 
     def next_failing(self) -> None:
-        """Go to the next frame that fails, or that is a warning where none fails."""
+        """Go to the next frame that fails, or has a warning if none fails."""
         with self.lock:
             levels = self.scene.levels
             worst = 0 if levels is None else int(levels.max(initial=0))
@@ -209,13 +209,13 @@ class Viewer:
             self.seek(int(bad[bad > self.frame][0] if (bad > self.frame).any() else bad[0]))
 
     def show_frame(self) -> None:
-        """Send the bodies of this frame, what touches and what passes through, and what they are compared with."""
+        """Send the bodies of this frame, contacts, penetrations, and figures for comparison."""
         with self.server.atomic():
             self._num_marks = self.room.show_frame(self.frame, self.pose, has_marks=bool(self.playing.marks.value))
             set_value(self.shown.timeline, self.frame)
 
     def _build(self) -> None:
-        """Lay out the panel and the keys, a pane after the other."""
+        """Build the panes of the panel, and their keys."""
         panel = self.panel
         panel.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         self.shown = ShownPane.build(panel, self)
@@ -231,7 +231,7 @@ class Viewer:
             panel.on_change(widget, lambda _: self.list_anew())
 
     def list_anew(self) -> None:
-        """List the items as it is asked for now, and show one that is listed."""
+        """Update the list of items, and show a listed one."""
         self.listing.sort()
         self.panel.tell("" if self.listing.order else "no item matches the filter")
         self.step_item(0)
@@ -240,14 +240,14 @@ class Viewer:
         self.curves.show(self.scene)
         self.look()
 
-    # Words, curves and pictures, which may come a moment later than the bodies.
+    # Words, curves and pictures, which may follow the bodies with a short delay.
 
     def look(self) -> None:
-        """Have the words, the curve and the pictures follow what is shown."""
+        """Request an update of words, curve and pictures."""
         self._looked.set()
 
     def _look(self) -> None:
-        """Bring the words, the curve and the pictures after the bodies, at most ten times a second."""
+        """Update words, curve and pictures after the bodies, at most ten times a second."""
         describe = self.panel.safely(lambda _: self.describe_frame(), is_alone=False)
         while not self.ended.is_set():
             self._looked.wait()
@@ -258,7 +258,7 @@ class Viewer:
             self.ended.wait(0.1 if not self.is_playing else 0.3)
 
     def describe_frame(self) -> None:
-        """Say what is known of the frame that is shown: words, curve, pictures, its link."""
+        """Update everything about the shown frame: words, curve, pictures, link."""
         with self.lock:
             scene, frame, moment = self.scene, self.frame, self.moment
             time_s = "" if scene.rate_hz is None else f", {frame / scene.rate_hz:.2f} s"
@@ -277,7 +277,7 @@ class Viewer:
             self.link.show(self)
             self.curves.draw(frame)
             is_skipped = self.is_playing and scene.rate_hz is None
-        flats = [] if is_skipped else self.flats()  # without the lock: a key need not wait for them
+        flats = [] if is_skipped else self.flats()  # without the lock, so that keys do not wait for them
         with self.lock:
             if scene is not self.scene:
                 return
@@ -288,11 +288,11 @@ class Viewer:
             with self.lock:
                 if scene is self.scene:
                     self.room.show_film(image)
-        if scene.say(frame) != said:  # of film it is known now why it cannot be read
+        if scene.say(frame) != said:  # now with the reason why the film cannot be read
             self.look()
 
     def flats(self) -> list[Flat]:
-        """Return the 2D pictures of this moment, with the 2D poses of the first as they were changed."""
+        """Return the 2D pictures of this moment, the first one with changed 2D poses."""
         with self.lock:
             scene, frame, changed = self.scene, self.frame, self.image_px
         flats = scene.images(frame)
@@ -301,20 +301,20 @@ class Viewer:
         return flats if changed is None or not flats else [replace(flats[0], points_px=changed), *flats[1:]]
 
     def _point(self) -> None:
-        """Follow the pointer over the side picture; of moves that wait the last counts."""
+        """Follow the pointer over the side picture; of waiting moves the last one counts."""
         while (pointer := self._pointers.get()) is not None:
             if pointer.phase != "move" or self._pointers.empty():
                 self.panel.safely(self.side.point)(pointer)
 
     def _play(self) -> None:
-        """Follow the clock while it plays; whatever goes wrong stops it, and is shown."""
+        """Follow the clock while it plays; an error stops it and is shown."""
         tick, stop = (self.panel.safely(action) for action in (self._tick, lambda _: self.play(False)))
         while not self.ended.wait(TICK_S):
             if self.is_playing and not tick(None):
                 stop(None)
 
     def _tick(self, _: object) -> None:
-        """Show the frame that the clock is at."""
+        """Show the clock's frame."""
         frame, is_over = self.playing.frame(self.scene)
         if frame != self.frame or is_over:
             self.frame, self.pose, self.image_px = frame, None, None

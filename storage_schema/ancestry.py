@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LineageStep:
-    """An ancestor, its least distance from the artifact asked about, and its manifest; None when it is gone."""
+    """An ancestor, its smallest distance from the given artifacts, and its manifest; None if it is gone."""
 
     ref: ArtifactRef
     depth: int
@@ -24,7 +24,7 @@ class LineageStep:
 
 @dataclass(frozen=True, order=True)
 class SourceFileUse:
-    """A source file that something was computed from: its name, its sha256 and the stage that read it."""
+    """A source file in a lineage: its name, its sha256 and the stage that read it."""
 
     name: str
     sha256: str
@@ -36,7 +36,7 @@ def walk(
     read: Callable[[Sequence[ArtifactRef]], Iterable[Manifest | None]],
     known: Container[tuple[str, str]] = (),
 ) -> Iterator[LineageStep]:
-    """Give the artifacts and everything they were computed from, each once, by distance.
+    """Yield the artifacts and all their ancestors, each once, by distance.
 
     Args:
         refs: The artifacts.
@@ -56,12 +56,12 @@ def walk(
 def walk_stored(
     store: Store, refs: Iterable[ArtifactRef], known: Container[tuple[str, str]] = ()
 ) -> Iterator[LineageStep]:
-    """Traverse the artifacts of a store; those that are missing or have other content have no manifest."""
+    """Walk the artifacts of a store; those that are missing or have other content have no manifest."""
     return walk(refs, lambda level: [find_manifest(store, ref) for ref in level], known)
 
 
 def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
-    """Return the artifacts and everything they were computed from, each once, by distance.
+    """Return the artifacts and all their ancestors, each once, by distance.
 
     An input that is no longer in the store is listed without a manifest and ends its branch.
 
@@ -74,7 +74,7 @@ def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
 
 
 def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str, str]]) -> bool:
-    """Tell whether these artifacts and all that they were computed from are there.
+    """Return whether these artifacts and all their ancestors exist.
 
     `known` are the places of those that are known to be; what is found is added.
     """
@@ -88,7 +88,7 @@ def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str,
 
 
 def held_out(store: Store, refs: Iterable[ArtifactRef]) -> set[Identity]:
-    """Return held-out artifacts and everything computed from them: nothing may learn from these.
+    """Return held-out artifacts and their descendants, which nothing may learn from.
 
     A missing ancestor is taken for one that is not held out.
     """
@@ -124,7 +124,7 @@ def inputs_with(store: Store, ref: ArtifactRef, table: str) -> list[ArtifactRef]
 
 
 def find_manifest(store: Store, ref: ArtifactRef) -> Manifest | None:
-    """Return the manifest of an artifact; None where it is not there or has other content."""
+    """Return the manifest of an artifact; None if it is missing or has other content."""
     try:
         return store.manifest(ref)
     except (MissingArtifact, CorruptArtifact):

@@ -16,7 +16,7 @@ from storage_schema.version import SCHEMA_VERSION
 
 
 class Kind(Enum):
-    """How a column's values look in Python."""
+    """Python form of a column's values."""
 
     TEXT = "text"
     TEXT_LIST = "list of texts"
@@ -28,7 +28,7 @@ class Kind(Enum):
 
 
 def column_kind(column: Column) -> Kind:
-    """Tell how a column's values look in Python."""
+    """Return the Python form of a column's values."""
     if pa.types.is_fixed_size_list(column.type):
         return Kind.FIXED
     if pa.types.is_list(column.type):
@@ -63,7 +63,7 @@ def arrow_schema(table: Table) -> pa.Schema:
 
 @cache
 def schema_digest(table: Table) -> str:
-    """Return a short digest of a table's columns, without their words: files with other columns have another."""
+    """Return a short digest of a table's columns, without their meanings."""
     described = [
         [c.name, str(c.type), c.unit, c.shape, c.axes, c.joints, list(JOINT_NAMES.get(c.joints, ())), c.is_nullable]
         for c in table.columns
@@ -82,7 +82,7 @@ def _field(column: Column) -> pa.Field:
 
 
 def _stored_type(column: Column) -> pa.DataType:
-    """Return the column's type with elements that are never null: NaN is how a number is missing inside an array."""
+    """Return the column's type with elements that are never null; a missing number inside an array is NaN."""
     kind = column_kind(column)
     if kind is Kind.FIXED:
         return pa.list_(pa.field("element", column.type.value_type, nullable=False), column.type.list_size)

@@ -1,4 +1,4 @@
-"""An artifact while it is written: tables row by row, attachments, facts; not there before all of it is."""
+"""Writes an artifact: tables row by row, attachments, facts. It appears only when it is complete."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from storage_schema.version import SCHEMA_VERSION
 
 
 class ArtifactFields(TypedDict):
-    """The record of an artifact, made when it is written."""
+    """Description of an artifact, stated when it is written."""
 
     stage: str
     """Name of the stage."""
     key: str
     """Key of the artifact, from `artifact_key`."""
     partition: str
-    """Step of the work as people see it."""
+    """The step that people see: a take, a seed, a split."""
     name: str
     """Name of the shard in its partition."""
     version: int
     """Version of the stage."""
     parameters: Mapping[str, Any]
-    """JSON values that decided the result."""
+    """JSON values that determine the result."""
     seed: int
     """Seed of the study."""
     inputs: Sequence[ArtifactRef]
@@ -41,15 +41,15 @@ class ArtifactFields(TypedDict):
     files: Sequence[tuple[str, str]]
     """Outside files that were read: (file name, sha256)."""
     reads: NotRequired[Mapping[str, Sequence[int]]]
-    """Places in `inputs` of what enters the key, by what it is to the shard: `verify` computes the key again."""
+    """Indices into `inputs` that enter the key, by their role in the shard; `verify` computes the key again."""
     after: NotRequired[Sequence[str]]
     """Keys of other shards that enter the key."""
     replaces: NotRequired[bool]
-    """Whether it takes the place of a valid artifact that is there, where its content is another or damaged."""
+    """Whether it replaces an existing artifact whose content differs or is damaged."""
 
 
 class ArtifactWriter:
-    """Writer of an artifact (`Store.writer`): append rows, attach files, note facts; `ref` is set when the block ends.
+    """Writer of an artifact (`Store.writer`): append rows, attach files, set facts; `ref` is set at the block's end.
 
     Args:
         folder: Empty folder that the files grow in.
@@ -105,7 +105,7 @@ class ArtifactWriter:
         self._attachments[name] = FileEntry(file.num_bytes, file.sha256)
 
     def finish(self, spent: Mapping[str, float], described: ArtifactFields) -> Manifest:
-        """Bring every file to the disk; gives the manifest, with timings of what was `spent`.  The store calls it."""
+        """Sync every file to the disk, and return the manifest, with `spent` timings. Called by the store."""
         with write_errors(self._where):
             tables = {name: self._tables[name].finish() for name in sorted(self._tables)}
         attachments = dict(sorted(self._attachments.items()))
@@ -138,7 +138,7 @@ class ArtifactWriter:
         )
 
     def close(self) -> None:
-        """Let go of the files, whether or not they are finished.  The store calls it."""
+        """Release the files, finished or not. Called by the store."""
         for table in self._tables.values():
             table.abandon()
 

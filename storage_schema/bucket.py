@@ -1,4 +1,4 @@
-"""Files in S3-compatible storage: asked for again where an answer fails or is slow, written once where names are taken.
+"""Files in S3-compatible storage: failed or slow requests are repeated, and existing names are not overwritten.
 
 Address and credentials come from the environment alone (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and nothing of
 them is in files or messages.
@@ -32,16 +32,16 @@ _ADDRESS = re.compile(r"https?://\S+")
 _AT_ONCE = 8
 """Requests in flight."""
 _PATIENCE_S = 60.0
-"""How long after a first failure a request is repeated."""
+"""Time during which a failed request is repeated."""
 _PAUSES_S = (0.1, 8.0)
-"""First and longest pause before a request is repeated; each pause is twice the one before."""
+"""First and longest pause before a request is repeated; pauses double."""
 _SAY_AFTER_S, _SAY_AGAIN_S = 1.5, 15.0
 _PASSING = re.compile(
     r"status code: (408|429|500|502|503|504|52\d|530)|response body|kind: (Timeout|Interrupted)"
     r"|Connection(Refused|Reset|Aborted)|TimedOut|BrokenPipe|IncompleteMessage|UnexpectedEof|(Network|Host)Unreachable"
     r"|Temporary failure in name resolution"
 )
-"""Marks of faults that pass: an outage, an overload, an answer that was cut off; any other is reported at once."""
+"""Marks of temporary faults: outage, overload, interrupted answer. Other faults are reported at once."""
 _CAUSES = {
     "dns error": "the server's host name cannot be resolved, check AWS_ENDPOINT_URL",
     "InvalidContentType": "the server does not speak https, check AWS_ENDPOINT_URL",
@@ -53,21 +53,21 @@ _CAUSES = {
     "status code: 401": "the server wants credentials, set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
     "status code: 403": "access is denied, check the credentials in the environment and the rights of their owner",
 }
-"""Marks of faults that the user can mend, in words."""
+"""Marks of faults that the user can correct, with advice."""
 _log = logging.getLogger(__name__)
 _DELETED_AT_ONCE = 1000
-"""Files in one request: more are several requests, which end in any order."""
+"""Largest number of files in one request."""
 _TIMEOUT = timedelta(seconds=60)
-"""Longest time for one answer; the rest of a slower one is asked for again."""
+"""Longest time for one answer; the rest of a slower one is requested again."""
 _PIECE_BYTES = 65536
-"""A file is read in pieces of this size, and those that came before an answer broke off are kept."""
+"""Size of the pieces in which a file is read; pieces before an interruption are kept."""
 
 S = TypeVar("S")
 T = TypeVar("T")
 
 
 class RemoteError(StorageError):
-    """Storage elsewhere refuses or does not answer; says what was wanted, and never who asked."""
+    """Remote storage refuses or does not answer; the message names the request, never credentials."""
 
 
 class RemoteStore:
@@ -97,24 +97,24 @@ class RemoteStore:
             retry_config={"max_retries": 0, "retry_timeout": timeout},
         )
         self.is_hurried = threading.Event()
-        """Set where nobody waits any more: what fails then is not asked for again."""
+        """Set when nobody waits any more: failed requests are not repeated."""
         self._saying, self._said = threading.Lock(), -_SAY_AGAIN_S
 
     def read(self, path: str, *, limit: int | None = None) -> bytes:
-        """Return a file; FileNotFoundError without it, CorruptArtifact where it has more bytes than `limit`."""
+        """Return a file; FileNotFoundError without it, CorruptArtifact if it has more bytes than `limit`."""
         return b"".join(self._pieces(path, limit))
 
     def changed_at(self, path: str) -> datetime:
-        """Return when a file was written, by the server's clock; FileNotFoundError where there is none."""
+        """Return when a file was written, by the server's clock; FileNotFoundError without it."""
         return self._asked(f"look for {path}", lambda: self._store.head(path)["last_modified"])
 
     def write(self, path: str, data: bytes | Path) -> None:
-        """Put a file whose name follows from its content: it does not matter who was first."""
-        # Parts that are sent at the same time share the line, and each must arrive before the timeout.
+        """Write a file whose name follows from its content, so that an overwrite is harmless."""
+        # Concurrent parts share the bandwidth, and each must arrive before the timeout.
         self._written(path, lambda: self._store.put(path, data, max_concurrency=1))
 
     def create(self, path: str, data: bytes) -> bool:
-        """Put a new file; false where there is another one already, which stays.
+        """Create a file; return false if there is another one, which stays.
 
         One with these bytes is this: an answer that was lost is asked for again.
         """
@@ -125,14 +125,14 @@ class RemoteStore:
             except AlreadyExistsError as error:
                 try:
                     return self.read(path) == data
-                except FileNotFoundError:  # taken away since, or another request was in the way
+                except FileNotFoundError:  # removed since, or in conflict with another request
                     raise error from None
             return True
 
         return self._written(path, ask)
 
     def read_tagged(self, path: str) -> tuple[bytes, str]:
-        """Return a file and the tag of this content of it; FileNotFoundError where there is none."""
+        """Return a file and its tag; FileNotFoundError without it."""
 
         def ask() -> tuple[bytes, str]:
             answer = self._store.get(path)
@@ -141,7 +141,7 @@ class RemoteStore:
         return self._asked(f"read {path}", ask)
 
     def replace(self, path: str, data: bytes, tag: str) -> str | None:
-        """Put a file in the place of the one with this tag; gives the new tag, None where that is another by now.
+        """Replace the file if it has this tag; return the new tag, None if the file has changed.
 
         That other one may be this: an answer that was lost is asked for again.
         """
@@ -152,7 +152,7 @@ class RemoteStore:
             return None
 
     def delete(self, paths: Iterable[str]) -> None:
-        """Remove files, in this order by the thousand; those that are not there are as good."""
+        """Remove files, in this order by the thousand; missing ones are ignored."""
         waiting = list(paths)
         for first in range(0, len(waiting), _DELETED_AT_ONCE):
             self._asked("remove files", partial(self._store.delete, waiting[first : first + _DELETED_AT_ONCE]))
@@ -168,7 +168,7 @@ class RemoteStore:
         return sorted(entry["path"].rpartition("/")[2] for entry in self.entries(folder))
 
     def fetch(self, path: str, target: Path) -> str:
-        """Stream a file to a new one here; gives its sha256."""
+        """Download a file, and return its sha256."""
         target.unlink(missing_ok=True)
         with HashingFile(target) as file:
             for piece in self._pieces(path):
@@ -176,7 +176,7 @@ class RemoteStore:
         return file.sha256
 
     def at_once(self, do: Callable[[S], T], each: Iterable[S]) -> list[T]:
-        """Do something with each, some at the same time; the error of the first that fails is raised.
+        """Apply a function to each item, some at the same time; raise the error of the first that fails.
 
         After an interruption no outage is waited for.
         """
@@ -188,7 +188,7 @@ class RemoteStore:
                 raise
 
     def _pieces(self, path: str, limit: int | None = None) -> Iterator[bytes]:
-        """Yield a file; after an answer that breaks off, the rest of it is asked for."""
+        """Yield a file in pieces; after an interruption, request the rest."""
         num_bytes, tag = 0, None
         stream: Iterator[bytes] | None = None
 
@@ -222,7 +222,7 @@ class RemoteStore:
         while True:
             try:
                 return ask()
-            except (FileNotFoundError, ValueError):  # also a name that none can have; the client's own says the address
+            except (FileNotFoundError, ValueError):  # also an impossible name; the client's message has the address
                 raise FileNotFoundError(f"{self.url}: cannot {what}: it is not there") from None
             except PreconditionError:
                 raise
@@ -239,7 +239,7 @@ class RemoteStore:
                 pause_s = min(2.0 * pause_s, _PAUSES_S[1])
 
     def _say_waiting(self, left_s: float) -> None:
-        """Say that the bucket does not answer, once for all that wait, and again after some time."""
+        """Log that the bucket does not answer, once for all waiting threads, and again after some time."""
         with self._saying:
             if time.monotonic() - self._said >= _SAY_AGAIN_S:
                 self._said = time.monotonic()
@@ -251,11 +251,11 @@ class RemoteStore:
             return RemoteError(f"{self.url}: cannot {what}: there is no such bucket")
         if cause := next((words for mark, words in _CAUSES.items() if mark in text), ""):
             return RemoteError(f"{self.url}: cannot {what}: {cause}")
-        # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.
+        # The rest of the message is the server's answer, which may contain keys, as its address may.
         reason = _ADDRESS.sub("the server", text.partition("<?xml")[0].partition("\n")[0].rstrip(": "))
         return RemoteError(f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on")
 
 
 def has_md5_tag(entry: ObjectMeta, data: bytes) -> bool:
-    """Tell whether a listed file is known to have these bytes: for small files the tag is nearly always their md5."""
+    """Return whether a listed file is known to have these bytes; the tag of small files is nearly always their md5."""
     return hashlib.md5(data, usedforsecurity=False).hexdigest() == str(entry["e_tag"]).strip('"')

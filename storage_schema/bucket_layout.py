@@ -1,4 +1,4 @@
-"""Where things lie in a bucket, below a prefix, for stores and for datasets that are pushed there.
+"""Layout of a bucket, below a prefix, for stores and for datasets that are pushed there.
 
 `parts/<sha256>` is a data file, `manifests/<stage>/<key>` what an artifact says of itself, `records/...` what lies
 under the same name in a store's folder (`runs/`, `store.json`), `datasets/<name>@<version>` a dataset's folder as a tar
@@ -22,18 +22,18 @@ from storage_schema.manifest import ArtifactRef
 MANIFEST_PLACE = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
 RECORD_PLACE = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
 DATASET_PLACE = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
-"""Files of a store; others in the bucket are left alone."""
+"""Patterns of the files of a store; other files in the bucket are ignored."""
 MAX_DATASET_BYTES = 200_000_000
 """Largest tar file of a dataset: its list, card, study and environment."""
 
 
 def part_place(sha256: str) -> str:
-    """Return where a data file lies."""
+    """Return the path of a data file."""
     return f"parts/{sha256}"
 
 
 def manifest_place(ref: ArtifactRef) -> str:
-    """Return where the manifest of an artifact lies."""
+    """Return the path of an artifact's manifest."""
     return f"manifests/{ref.stage}/{ref.key}"
 
 
@@ -48,12 +48,12 @@ def read_dataset(remote: RemoteStore, label: str) -> bytes:
 
 
 def is_old_list(data: bytes) -> bool:
-    """Tell whether the file of a dataset is that of an earlier release: its list alone, as JSON."""
+    """Return whether the file of a dataset has the form of an earlier release: only its list, as JSON."""
     return data[:1] == b"{"
 
 
 def pack_dataset(files: Mapping[str, bytes]) -> bytes:
-    """Return the files of a dataset as a tar file, which does not tell who made it where and when."""
+    """Return the files of a dataset as a tar file, without owner and time."""
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w") as archive:
         for name, data in sorted(files.items()):
@@ -64,7 +64,7 @@ def pack_dataset(files: Mapping[str, bytes]) -> bytes:
 
 
 def unpack_dataset(data: bytes, where: str) -> dict[str, bytes]:
-    """Return the files of a dataset's tar, which is not compressed, so that no more comes out than it has bytes.
+    """Return the files of a dataset's tar; it must not be compressed, so that it cannot grow.
 
     Raises:
         CorruptArtifact: It is none, or holds something else than files side by side.

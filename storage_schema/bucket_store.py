@@ -1,4 +1,4 @@
-"""A store in S3-compatible storage, worked on through a store in a folder of this machine: the mirror.
+"""A store in S3-compatible storage, accessed through a local store, its mirror.
 
 The mirror has the layout of every store, with manifests and records as they were when it was refreshed, and data files
 since they were first read; it can be removed whenever nothing runs.  Workers on other machines have mirrors of their
@@ -47,13 +47,13 @@ if TYPE_CHECKING:
 
 _DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
 _TIMES = 2
-"""A part whose bytes are not those of its name is asked for so often."""
+"""Number of tries to fetch a part whose bytes do not match its name."""
 _YOUNG = timedelta(hours=1)
-"""A part of this age may belong to an artifact whose manifest is still to come."""
+"""A part younger than this may belong to an artifact whose manifest is not written yet."""
 
 
 class BucketStore(Store):
-    """A store in a bucket, and the store in a folder here that holds what was read of it: one object in a process.
+    """A store in a bucket with its local mirror; one object in a process.
 
     Address and credentials of `s3://bucket/prefix` come from the environment.
     """
@@ -69,27 +69,27 @@ class BucketStore(Store):
     def _open(self, place: str, root: Path) -> None:
         self.remote, self.here = RemoteStore(place), FolderStore(root)
         self._set_up(root, self.remote.url)
-        self._is_current = False  # workers do not refresh, and ask for each manifest that they look for
+        self._is_current = False  # workers do not refresh, and request each manifest
         self._num_holding = 0
         self._lease = Lease(self.remote)
         self._pushing = threading.Lock()
         self._pushed: dict[Path, tuple[int, int]] = {}
 
     def refresh(self) -> None:
-        """Bring manifests and records up to date; beside a run of this machine nothing is done: the mirror is.
+        """Update manifests and records; beside a run of this machine the mirror is up to date.
 
         Raises:
             RemoteError: The bucket refuses or does not answer.
         """
         if not self._num_holding:
-            self.remote.is_hurried.clear()  # of a command of this process that was interrupted
+            self.remote.is_hurried.clear()  # set by an interrupted command of this process
         with self._locked(fcntl.LOCK_SH | fcntl.LOCK_NB) as is_alone:
             if is_alone and not self._num_holding:
                 self._refresh()
         self._is_current = True
 
     def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
-        """Get the manifest of an artifact as it is now, if `known` is not here; where there is none, none is here.
+        """Fetch the current manifest of an artifact unless `known` is here; remove the local one if there is none.
 
         After a refresh it is asked for only where it is `known` that it has changed.
         """
@@ -106,11 +106,11 @@ class BucketStore(Store):
                 self._forget(folder / MANIFEST_NAME)
 
     def has_files(self, manifest: Manifest) -> bool:
-        """Tell that every file of an artifact is there: its manifest came last."""
+        """Return true, because the manifest was written last."""
         return True
 
     def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
-        """Have a data file of an artifact here.
+        """Return the local path of a data file of an artifact; fetch it if necessary.
 
         Raises:
             CorruptArtifact: It is not there, or not what its name says, also when asked for again.
@@ -133,12 +133,12 @@ class BucketStore(Store):
         return path
 
     def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
-        """Return the digest of a part's bytes as they are in the bucket; FileNotFoundError where it is not there."""
+        """Return the digest of a part's bytes in the bucket; FileNotFoundError without it."""
         with closing(StagingFolder(self.staging_root)) as staging:
             return self.remote.fetch(part_place(entry.sha256), staging.path / "part")
 
     def drop_copies(self, manifest: Manifest) -> bool:
-        """Remove cached parts whose bytes do not match their digests, to be fetched again; returns whether it did."""
+        """Remove cached parts whose bytes do not match their digests; return whether there were any."""
         files = {self.folder(*manifest.ref.place) / name: entry for name, entry in manifest.data_files.items()}
         changed = [path for path, entry in files.items() if path.is_file() and file_sha256(path) != entry.sha256]
         for path in changed:
@@ -146,21 +146,21 @@ class BucketStore(Store):
         return bool(changed)
 
     def prepare(self) -> None:
-        """Make the store where it is not there, and clear away what dead processes left here."""
+        """Create the store if necessary, and remove local leftovers of dead processes."""
         if not (self.root / STORE_FILE).is_file():
             self.remote.create(f"records/{STORE_FILE}", STORE_TEXT)
         self.here.prepare()
 
     def can_write(self) -> bool:
-        """Tell whether this process may write to the bucket, in which the store is."""
+        """Return whether this process may write to the bucket."""
         with suppress(StorageError, FileNotFoundError):
             self.remote.changed_at("lease")
-            self.remote.create(f"records/{STORE_FILE}", STORE_TEXT)  # which is there: asks for the right
+            self.remote.create(f"records/{STORE_FILE}", STORE_TEXT)  # which exists: tests the permission
             return True
         return False
 
     def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
-        """Put an artifact into the bucket, its manifest last, then here; gives the one that is there in the end.
+        """Put an artifact into the bucket, its manifest last, then here; return the one that is there in the end.
 
         One that is there and does not stay, or whose manifest is none, is replaced in one step.
 
@@ -172,7 +172,7 @@ class BucketStore(Store):
         self.remote.at_once(lambda sha256: self.remote.write(part_place(sha256), parts[sha256]), parts)
         place, text = manifest_place(new.ref), (staging.path / MANIFEST_NAME).read_bytes()
         while not self.remote.create(place, text):
-            with suppress(FileNotFoundError):  # taken away since
+            with suppress(FileNotFoundError):  # removed since
                 data, tag = self.remote.read_tagged(place)
                 there: Manifest | None = None
                 with suppress(CorruptArtifact, OlderSchema):
@@ -188,7 +188,7 @@ class BucketStore(Store):
         return self.here.take_place(staging, new.ref, lambda: None)
 
     def add_dataset(self, staged: Path, label: str) -> bool:
-        """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then.
+        """Put a dataset into the bucket; return false if its name is taken, and fetch the one that has it.
 
         Raises:
             DatasetExists: An earlier release pushed one of this name.
@@ -215,7 +215,7 @@ class BucketStore(Store):
         self.here.remove_folders(targets)
 
     def sweep(self, *, younger: timedelta = _YOUNG) -> None:
-        """Remove parts that no manifest names; the youngest stay, as a lost worker may still be writing."""
+        """Remove parts that no manifest names; the youngest stay, because a lost worker may still be writing."""
         self._lease.check()
         parts = self.remote.entries("parts")
         named: set[str] = set()
@@ -227,7 +227,7 @@ class BucketStore(Store):
 
     @contextmanager
     def in_use(self, *, alone: bool = False) -> Iterator[None]:
-        """Be the only one that builds in the store for this block, which begins with a refresh.
+        """Build alone in the store in this block, which begins with a refresh.
 
         Records of runs reach the bucket meanwhile.
 
@@ -267,7 +267,7 @@ class BucketStore(Store):
             self._num_holding = 0
 
     def _check_not_lost(self) -> None:
-        """End a run whose lease was lost, as soon as it reads or commits something."""
+        """End a run that has lost its lease, at its next read or commit."""
         if self._num_holding and self._lease.is_over:
             raise self._lease.lost()
 
@@ -277,7 +277,7 @@ class BucketStore(Store):
         self._lease.renew(released=True)
 
     def _push_records(self) -> None:
-        """Put what runs have left since the last time into the bucket; nothing before the mirror has been refreshed."""
+        """Write new records of runs to the bucket, once the mirror has been refreshed."""
 
         def push(path: Path) -> None:
             state = _state(path)
@@ -289,7 +289,7 @@ class BucketStore(Store):
             if self._num_holding and not self._lease.is_over:
                 files = (path for path in (self.root / "runs").rglob("[!.]*") if path.is_file())
                 changed = [path for path in files if self._pushed.get(path) != _state(path)]
-                if changed and self._lease.renew():  # who slept for long may not know that another builds now
+                if changed and self._lease.renew():  # after a long sleep, another run may hold the lease
                     self.remote.at_once(push, changed)
 
     def _refresh(self) -> None:
@@ -311,7 +311,7 @@ class BucketStore(Store):
         here += [path for path in (self.root / "runs").rglob("*") if path.is_file()]
         for path in here:
             with suppress(FileNotFoundError):
-                # What came later was put here by another process of this machine; the other time is the bucket's.
+                # A file with a later ctime was put here by another process of this machine; mtime is the bucket's.
                 if path not in wanted and not path.name.startswith(".") and path.stat().st_ctime < began:
                     self._forget(path)
         self.bring_datasets()
@@ -331,7 +331,7 @@ class BucketStore(Store):
                 os.utime(path, ns=(_mark(entry), _mark(entry)))
 
     def bring_datasets(self) -> None:
-        """Have the datasets here that the bucket has, and no others."""
+        """Update the local datasets to those of the bucket."""
         entries = [entry for entry in self.remote.entries("datasets") if DATASET_PLACE.fullmatch(entry["path"])]
         names = {entry["path"].rpartition("/")[2] for entry in entries}
         for folder in (self.root / "datasets").glob("*@*"):
@@ -347,7 +347,7 @@ class BucketStore(Store):
                 except FileNotFoundError:
                     continue  # removed since it was listed
                 if is_old_list(packed):
-                    continue  # its artifacts lie elsewhere, where only `dataset pull` looks
+                    continue  # its artifacts have other paths, which only `dataset pull` reads
                 files = unpack_dataset(packed, f"{self}/{entry['path']}")
                 (staging.path / "new").mkdir()
                 for name, data in files.items():
@@ -383,7 +383,7 @@ class BucketStore(Store):
                 path.parent.rename(staging.path / path.parent.name)
         else:
             path.unlink()
-            with suppress(OSError):  # until one is not empty
+            with suppress(OSError):  # up to the first that is not empty
                 for folder in path.parents:
                     folder.rmdir()
 
@@ -392,7 +392,7 @@ class BucketStore(Store):
 
     @contextmanager
     def _locked(self, how: int) -> Iterator[bool]:
-        """Hold the folder against other processes of this machine; false where it cannot be had at once."""
+        """Lock the mirror against other processes of this machine; yield false if it cannot be locked at once."""
         with write_errors(self.root):
             make_folder(self.root.parent)
             handle = os.open(self.root.with_suffix(".lock"), os.O_CREAT | os.O_RDWR, 0o644)
@@ -425,7 +425,7 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 def _mark(entry: ObjectMeta) -> int:
-    """Return the time that a file here carries when it is what the bucket lists: its last change, and its tag below."""
+    """Return the mtime of a local file that matches the listing: the last change, with the tag in the nanoseconds."""
     tag = int(hashlib.sha256(str(entry["e_tag"]).encode()).hexdigest()[:12], 16) % 10**9
     return int(entry["last_modified"].timestamp()) * 10**9 + tag
 

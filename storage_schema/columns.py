@@ -1,4 +1,4 @@
-"""How a column and a table are described: name, type, unit, shape and meaning, once for the whole project."""
+"""Descriptions of columns and tables: name, type, unit, shape and meaning, stated once for the whole project."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Column:
             raise ValueError(f"column '{self.name}': {len(self.shape)} axes in its shape but {len(self.axes)} names")
 
     def with_meaning(self, meaning: str, *, is_nullable: bool = False) -> Column:
-        """Return the same column with what it means in one table, or nullable there."""
+        """Return the same column with its meaning in one table, or nullable there."""
         return replace(self, meaning=meaning, is_nullable=is_nullable)
 
 
@@ -59,7 +59,7 @@ class Table:
 
     @property
     def id_columns(self) -> list[str]:
-        """Return the columns that name takes, sequences and variants: their values are plain names."""
+        """Return the columns with names of takes, sequences and variants, whose values are plain names."""
         return [column.name for column in self.columns if column.name.endswith("_id") and column.type == pa.string()]
 
     def column(self, name: str) -> Column:
@@ -71,7 +71,7 @@ class Table:
 
 
 def is_plain_name(name: str) -> bool:
-    """Tell whether an id can be part of a file's name everywhere, and leads nowhere else."""
+    """Return whether an id can safely be part of a file name on every system."""
     return _PLAIN_NAME.fullmatch(name) is not None
 
 
@@ -80,7 +80,7 @@ text_list = partial(Column, type=pa.list_(pa.string()))
 integer = partial(Column, type=pa.int32())
 boolean = partial(Column, type=pa.bool_())
 float64 = partial(Column, type=pa.float64())
-"""Columns of single values: NaN is a value of a float, null is not used unless said."""
+"""Columns of single values: NaN is a float value, null only occurs in nullable columns."""
 
 
 def array(

@@ -1,4 +1,4 @@
-"""Differences of two artifacts of the same work, column by column, and how much of them is rounding.
+"""Differences of two artifacts of the same work by column, and whether they are rounding.
 
 On one platform the same work gives the same bytes.  Another processor or version of a library rounds otherwise; what it
 gives is called the same where no value differs by more than its column's tolerance.
@@ -36,7 +36,7 @@ TOLERANCES = {
 Whole numbers, truth values and texts may not differ, but for keys of artifacts and numbers with a point in a text.
 """
 RELATIVE_TOLERANCE = 1e-4
-"""What a number may differ by for its size, beside its unit's tolerance."""
+"""Relative tolerance of a number, added to that of its unit."""
 _TINY = 1e-300
 _KEY = re.compile(r"@[0-9a-f]{8,64}")
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e-\d+")
@@ -44,7 +44,7 @@ _NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e-\d+")
 
 @dataclass(frozen=True)
 class Difference:
-    """What a column of a table (or an attached file: no column) differs by, at its worst place.
+    """The largest difference in a column of a table, or of an attached file, which has no column.
 
     `largest` and `allowed` are of numbers; where values have no distance `largest` is infinite.
     A table or file that only one of the two has is missing.
@@ -60,17 +60,17 @@ class Difference:
 
     @property
     def is_beyond(self) -> bool:
-        """Tell whether this is more than rounding."""
+        """Return whether this is more than rounding."""
         return not self.largest <= self.allowed
 
     @property
     def is_attachment(self) -> bool:
-        """Tell whether this is of a file that is no table: it has no columns, so no tolerance."""
+        """Return whether this is an attached file, which has no tolerance."""
         return self.table not in TABLES
 
     @property
     def excess(self) -> float:
-        """Return the difference over the tolerance; infinite where the tolerance is zero."""
+        """Return the difference divided by the tolerance; huge if that is zero."""
         return self.largest / max(self.allowed, _TINY)
 
     def __str__(self) -> str:
@@ -81,7 +81,7 @@ class Difference:
 
 
 def compare_artifacts(one_store: Store, first: Manifest, other_store: Store, other: Manifest) -> list[Difference]:
-    """Return the columns and files that two artifacts differ by, tables first; none where they hold the same bytes.
+    """Return the differences of two artifacts by column and file, tables first; none for the same bytes.
 
     Raises:
         CorruptArtifact, SchemaError: A table cannot be read.
@@ -167,7 +167,7 @@ def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, st
 
 
 def _of_text(name: str, column: Column, row: int, first: str, other: str) -> Difference:
-    """Compare two texts: keys of artifacts follow from what was read, and numbers with a point are numbers."""
+    """Compare two texts: keys of artifacts are ignored, and decimal numbers are compared as numbers."""
     detail = f"{first!r:.60}, {other!r:.60} there"
     bare = [_KEY.sub("@", text) for text in (first, other)]
     if _NUMBER.sub("", bare[0]) != _NUMBER.sub("", bare[1]):

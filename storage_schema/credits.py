@@ -1,4 +1,4 @@
-"""Licence and credit of a source: an artifact has those of what came in with it, `source_credits` finds the others."""
+"""Licence and credit of a source. An artifact has those of its own sources; `source_credits` finds all."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, order=True)
 class SourceCredit:
-    """Where data came from: the source's name, its licence, and the credit line it asks for."""
+    """A source of data: its name, its licence, and the credit line that it requires."""
 
     name: str
     licence: str
@@ -16,5 +16,5 @@ class SourceCredit:
 
 
 def merge_credits(*groups: Iterable[SourceCredit]) -> tuple[SourceCredit, ...]:
-    """Return every source of these groups once, sorted by name; sources that differ in any field stay apart."""
+    """Return every source of these groups once, sorted by name; sources that differ in any field are different."""
     return tuple(sorted({credit for group in groups for credit in group}))

@@ -52,14 +52,14 @@ class Dataset:
         return f"{self.name}@{self.version}"
 
     def to_json(self, **more: Any) -> bytes:
-        """Return the list as its file has it, with `more` keys."""
+        """Return the bytes of its file, with `more` keys."""
         values = {**asdict(self), "schema_version": SCHEMA_VERSION, **more}
         del values["path"]
         return json_file(values)
 
 
 def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
-    """Return the datasets of a store, or the versions of one, but those of an older schema (`dataset_labels` has all).
+    """Return the datasets of a store or the versions of one, without those of an older schema.
 
     CorruptArtifact where the list of one cannot be read.
     """
@@ -71,7 +71,7 @@ def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
 
 
 def named_places(store: Store) -> set[tuple[str, str]]:
-    """Return stage and key of all that the datasets of a store name, also those of an older schema.
+    """Return stage and key of all artifacts in the datasets of a store, also those of an older schema.
 
     CorruptArtifact where the list of one cannot be read: what it names is not known.
     """
@@ -87,12 +87,12 @@ def named_places(store: Store) -> set[tuple[str, str]]:
 
 
 def dataset_labels(store: Store) -> list[str]:
-    """Return `name@version` of all datasets of a store, also of those that cannot be read."""
+    """Return `name@version` of all datasets of a store, readable or not."""
     return [path.name for path in _folders(store)]
 
 
 def newest_version(store: Store, name: str) -> Dataset | None:
-    """Return the numbered version of a dataset with the greatest number; None without one, or of an older schema."""
+    """Return the highest numbered version of a dataset; None without one, or if it has an older schema."""
     numbered = [path for path in _folders(store, name) if _version(path).isdecimal()]
     with suppress(OlderSchema):
         return _read(numbered[-1]) if numbered else None
@@ -100,7 +100,7 @@ def newest_version(store: Store, name: str) -> Dataset | None:
 
 
 def open_dataset(store: Store, label: str) -> Dataset:
-    """Return the dataset `name@version`, or the newest version of `name`; UnknownReference says which there are."""
+    """Return the dataset `name@version`, or the newest version of `name`; UnknownReference lists those that exist."""
     named = [path for path in _folders(store) if label in (path.name, path.name.rpartition("@")[0])]
     if not named:
         there = ", ".join(path.name for path in _folders(store)) or "none"
@@ -109,7 +109,7 @@ def open_dataset(store: Store, label: str) -> Dataset:
 
 
 def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
-    """Return the datasets that name this content of an artifact or were computed from it.
+    """Yield the datasets that name this content of an artifact or were computed from it.
 
     Those of an older schema need other artifacts.  CorruptArtifact where the list of one cannot be read.
     """
@@ -122,7 +122,7 @@ def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
 
 @lru_cache(maxsize=64)
 def _read_with_needs(store: Store, path: Path) -> tuple[Dataset, frozenset[Identity]]:
-    """Return a dataset and what it names or was computed from, which never changes."""
+    """Return a dataset and the identities of its artifacts and their ancestors, which never change."""
     dataset = _read(path)
     return dataset, frozenset(step.ref.identity for step in walk_stored(store, dataset.refs))
 
@@ -133,7 +133,7 @@ def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> s
 
 
 def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
-    """Write the dataset's folder and give it its name in one rename; false when the name is taken."""
+    """Write the dataset's folder and rename it to its name in one step; return false if the name is taken."""
     check_names(dataset.name, dataset.version, *attachments)
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, data in attachments.items():
@@ -144,7 +144,7 @@ def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]
 
 
 def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection[str] = ()) -> Dataset:
-    """Return the dataset of a list that `read` gives, `less` keys that are no part of it, as one in a folder.
+    """Return the dataset in the folder `path` from the JSON that `read` returns, without the `less` keys.
 
     Raises:
         CorruptArtifact: It cannot be read.
@@ -177,7 +177,7 @@ def next_version(store: Store, name: str) -> str:
 
 
 def _folders(store: Store, name: str = "*") -> list[Path]:
-    """Return the folders of datasets: by name, versions that are numbers by number, after those with names.
+    """Return the folders of datasets by name, with numbered versions by number after the others.
 
     Their lists, of 100,000 artifacts perhaps, are not read.
     """
@@ -194,7 +194,7 @@ def _version(path: Path) -> str:
 
 
 def check_names(*names: str) -> None:
-    """Refuse what cannot name a dataset, its version or its files; BadName says which."""
+    """Refuse names that a dataset, its version or its files cannot have; BadName says which."""
     for name in names:
         if not _NAME.fullmatch(name) or name == DATASET_FILE:
             raise BadName(f"'{name}' cannot name a dataset, its version or its files: use letters, digits, . _ -")

@@ -1,4 +1,4 @@
-"""The data dictionary: every table and column in Markdown; `python -m storage_schema.dictionary` writes it again."""
+"""The data dictionary: every table and column in Markdown; `python -m storage_schema.dictionary` writes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are either wholly there or not at all, also after a power cut, and a full disk is one clear error."""
+"""Atomic and durable files: complete or absent, also after a power cut; a full disk is one clear error."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _FULL = {errno.ENOSPC, errno.EDQUOT}
 _REFUSED = {errno.EROFS, errno.EACCES, errno.EPERM}
 _CANNOT_EXCHANGE = {errno.EINVAL, errno.ENOSYS, errno.ENOENT, errno.EOPNOTSUPP, errno.EXDEV}
 _SAY_AFTER_S = 4.0
-"""A lock that is waited for so long is said."""
+"""Time after which waiting for a lock is logged."""
 _log = logging.getLogger(__name__)
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
 def cache_folder() -> Path:
-    """Return the folder of what can be had again: `$PASDEDEUX_CACHE`, else the user's own cache.
+    """Return the folder of caches: `$PASDEDEUX_CACHE`, else the user's cache.
 
     A user without a home that can be written, as in containers, has a temporary folder.
     """
@@ -48,7 +48,7 @@ def cache_folder() -> Path:
 
 @contextmanager
 def write_errors(where: Path) -> Iterator[None]:
-    """Turn the file system's refusals inside this block into the store's errors.
+    """Convert errors of the file system in this block to the store's errors.
 
     Raises:
         FullDisk: No room, or the quota is used up.
@@ -68,7 +68,7 @@ def write_errors(where: Path) -> Iterator[None]:
 
 
 def lock_file(handle: int, how: int, what: str) -> None:
-    """Lock a file, and say once who holds it where that takes long: if that process is stopped, it takes for ever.
+    """Lock a file; if that takes long, log once which process holds it, as a stopped one holds it forever.
 
     Args:
         handle: The open file.
@@ -87,12 +87,12 @@ def lock_file(handle: int, how: int, what: str) -> None:
             fcntl.flock(handle, how)
         finally:
             saying.cancel()
-            saying.join()  # it may be looking at the file, which is closed soon
+            saying.join()  # it may use the file, which is closed soon
 
 
 def _say_holders(handle: int, what: str) -> None:
     holders = []
-    with suppress(OSError, ValueError):  # Linux alone says who
+    with suppress(OSError, ValueError):  # only Linux lists holders
         inode = os.fstat(handle).st_ino
         rows = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
         holders = [row[4] for row in rows if row[1] == "FLOCK" and int(row[5].rpartition(":")[2]) == inode]
@@ -106,7 +106,7 @@ def _say_holders(handle: int, what: str) -> None:
 
 @contextmanager
 def locked_file(path: Path, how: int, what: str = "") -> Iterator[None]:
-    """Lock `.NAME.lock` beside a file, or what is to be one, for this block; arguments and errors as `lock_file`."""
+    """Lock `.NAME.lock` beside a present or future file in this block; arguments and errors as in `lock_file`."""
     make_folder(path.parent)
     handle = os.open(path.with_name(f".{path.name}.lock"), os.O_CREAT | os.O_RDWR, 0o644)
     try:
@@ -117,7 +117,7 @@ def locked_file(path: Path, how: int, what: str = "") -> Iterator[None]:
 
 
 class HashingFile(io.RawIOBase):
-    """A new file, open for writing, that digests its bytes on the way and reaches the disk when closed.
+    """A new file, open for writing, that computes its digest and is synced to the disk when closed.
 
     `num_bytes` and `sha256` say what was written so far.
     """
@@ -134,11 +134,11 @@ class HashingFile(io.RawIOBase):
         return self._digest.hexdigest()
 
     def writable(self) -> bool:
-        """Say that the file can be written to."""
+        """Return true."""
         return True
 
     def write(self, data: Any) -> int:
-        """Write bytes at the end; gives their number."""
+        """Write bytes at the end, and return their number."""
         num_bytes = self._file.write(data)
         self._digest.update(data)
         self.num_bytes += num_bytes
@@ -149,7 +149,7 @@ class HashingFile(io.RawIOBase):
         return self.num_bytes
 
     def close(self) -> None:
-        """Bring the bytes to the disk and close the file."""
+        """Sync the bytes to the disk and close the file."""
         if not self.closed:
             try:
                 with self._file:
@@ -160,14 +160,14 @@ class HashingFile(io.RawIOBase):
 
 
 def write_file(path: Path, data: bytes) -> HashingFile:
-    """Write a new file and bring it to the disk; gives its size and digest."""
+    """Write a new file and sync it to the disk; the returned object has size and digest."""
     with HashingFile(path) as file:
         file.write(data)
     return file
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it, so that they outlast a power cut."""
+    """Create a folder and its parents so that they survive a power cut."""
     if folder.is_dir():
         return
     make_folder(folder.parent)
@@ -176,7 +176,7 @@ def make_folder(folder: Path) -> None:
 
 
 def exchange(first: Path, other: Path) -> bool:
-    """Let two folders change places in one step; false where the system or file system cannot, or one is not there."""
+    """Exchange two folders in one step; return false if the system cannot, or one is missing."""
     rename = _renameat2()
     if rename is None:
         return False
@@ -189,12 +189,12 @@ def exchange(first: Path, other: Path) -> bool:
 
 @cache
 def _renameat2() -> Any:
-    """Return the function of the C library, None where it has none."""
+    """Return the function of the C library; None without one."""
     return getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring a folder's list of names to the disk."""
+    """Sync a folder's entries to the disk."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

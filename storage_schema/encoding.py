@@ -1,4 +1,4 @@
-"""Python values into Arrow: checked against the table's definition, with one clear sentence when they do not fit."""
+"""Converts Python values to Arrow, with checks against the table's definition and one clear sentence on a misfit."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
 
 
 def with_columns(table: Table, rows: pa.Table, columns: Mapping[str, Any]) -> pa.Table:
-    """Return encoded rows of a table with other values in some columns, which are given as `encode` takes them."""
+    """Return encoded rows of a table with other values in some columns, in the form of `encode`."""
     for column in table.columns:
         if column.name in columns:
             at = rows.schema.get_field_index(column.name)
@@ -84,7 +84,7 @@ def _num_rows(values: Any) -> int:
 
 
 class _MisfitError(Exception):
-    """Why values do not fit a column, without saying which."""
+    """The reason why values do not fit a column, without the column's name."""
 
 
 def _fixed(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
@@ -130,7 +130,7 @@ def _texts(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
 def _numbers(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     nulls = None
     if column.is_nullable:
-        # The inverse of reading: a null number reads as NaN, so NaN and None are null here.
+        # The inverse of reading: a null number is read as NaN, so NaN and None are null here.
         listed = [np.nan if value is None else value for value in values]
         numbers = _array(listed)
         if numbers.ndim == 1 and numbers.dtype.kind == "f":
@@ -155,7 +155,7 @@ def _array(values: Any) -> np.ndarray:
 
 
 def _as_type(array: np.ndarray, wanted: pa.DataType) -> np.ndarray:
-    """Narrow numbers to the stored type, refusing what would change a whole number or invent a truth value."""
+    """Narrow numbers to the stored type; refuse changes of whole numbers, and numbers as truth values."""
     target = np.dtype(wanted.to_pandas_dtype())
     if len(array) == 0:
         return np.empty(0, target)

@@ -1,4 +1,4 @@
-"""The errors of the store: one root, a few children, all of them survive pickling."""
+"""The errors of the store: one root and a few children, which all survive pickling."""
 
 # ruff: noqa: N818 - these names say what is wrong; that they are errors shows where they are raised
 
@@ -18,13 +18,13 @@ class StorageError(Exception):
 
 
 class _InputError(StorageError):
-    """Something that was given or asked for, which the user can put right."""
+    """An error in the input, which the user can correct."""
 
     is_input: ClassVar[bool] = True
 
 
 class MissingArtifact(StorageError):
-    """An artifact, or a part of it that was asked for, is not in the store."""
+    """An artifact, or a requested part of it, is not in the store."""
 
 
 class CorruptArtifact(StorageError):
@@ -32,11 +32,11 @@ class CorruptArtifact(StorageError):
 
 
 class NamedByDataset(StorageError):
-    """An artifact that a dataset needs was computed again with other bytes: the old one stays."""
+    """An artifact that a dataset needs was computed again with other bytes; the old one stays."""
 
 
 class SchemaError(StorageError):
-    """Values do not fit the table they are written to or read from: says which column and what is allowed."""
+    """Values do not fit their table; the message names the column and what is allowed."""
 
 
 class NewerSchema(_InputError):
@@ -44,7 +44,7 @@ class NewerSchema(_InputError):
 
 
 class OlderSchema(MissingArtifact):
-    """What is asked for was written under an older schema: says which release of the program reads it."""
+    """The requested artifact was written under an older schema; the message names the release that reads it."""
 
     is_input: ClassVar[bool] = True
 
@@ -58,12 +58,12 @@ class FullDisk(StorageError):
 
 
 class UnknownReference(_InputError):
-    """A reference names nothing, or more than one thing: says which, and what is there."""
+    """A reference names nothing, or more than one thing; the message lists what is there."""
 
 
 class BadName(_InputError):
-    """A name that was given to something cannot be that of a folder on every machine."""
+    """A name cannot be that of a folder on every system."""
 
 
 class DatasetExists(_InputError):
-    """A dataset of this name and version was already made; datasets never change."""
+    """A dataset of this name and version exists; datasets never change."""

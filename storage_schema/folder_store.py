@@ -1,4 +1,4 @@
-"""A store in a folder that many processes share, also of several machines."""
+"""A store in a folder, shared by many processes, also of several machines."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class FolderStore(Store):
             yield
 
     def has_files(self, manifest: Manifest) -> bool:
-        """Tell whether every file of an artifact is there with the right size."""
+        """Return whether every file of an artifact is there with the right size."""
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
         sizes = {f"{name}.parquet": part.bytes for name, part in manifest.tables.items()}
         sizes |= {name: entry.bytes for name, entry in manifest.attachments.items()}
@@ -62,7 +62,7 @@ class FolderStore(Store):
             return False
 
     def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
-        """Return the path of a data file; CorruptArtifact where its name would lead out of the artifact's folder."""
+        """Return the path of a data file; CorruptArtifact if its name would lead out of the artifact's folder."""
         if "/" in name or name.startswith("."):
             raise CorruptArtifact(
                 f"artifact {ref.stage}@{ref.key[:12]} names a file '{name}' that is not in its folder"
@@ -70,11 +70,11 @@ class FolderStore(Store):
         return self.folder(ref.stage, ref.key) / name
 
     def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
-        """Return the sha256 of the bytes of a data file; OSError where they cannot be read."""
+        """Return the sha256 of the bytes of a data file; OSError if they cannot be read."""
         return file_sha256(self.folder(ref.stage, ref.key) / name)
 
     def prepare(self) -> None:
-        """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
+        """Create the store's folder if necessary, and remove leftovers of dead processes; once per object."""
         if self._is_checked and (self.root / STORE_FILE).is_file():
             return
         with write_errors(self.root):
@@ -85,11 +85,11 @@ class FolderStore(Store):
         self.clear_leftovers()
 
     def can_write(self) -> bool:
-        """Tell whether the folder can be written to."""
+        """Return whether the folder can be written."""
         return os.access(self.root, os.W_OK)
 
     def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
-        """Rename the staged folder to its place; returns the artifact that is there in the end.
+        """Rename the staged folder to its place; return the artifact that is there in the end.
 
         Raises:
             NamedByDataset: A dataset needs what is there, and this has other bytes.
@@ -104,7 +104,7 @@ class FolderStore(Store):
     def take_place(
         self, staging: StagingFolder, ref: ArtifactRef, kept: Callable[[], ArtifactRef | None]
     ) -> ArtifactRef:
-        """Rename the staged folder of an artifact to its place, unless what is there is `kept`, which is given then."""
+        """Rename the staged folder of an artifact to its place, unless `kept` returns an existing one to keep."""
         target = self.folder(ref.stage, ref.key)
         make_folder(target.parent)
         go_there: Callable[[Path], object] = staging.path.rename
@@ -117,13 +117,13 @@ class FolderStore(Store):
             else:
                 sync_folder(target.parent)
                 return ref
-            # Something is there: it goes only after it was seen not to stay, never for not having been there yet.
+            # There is a folder: replace it only after seeing that it does not stay.
             if (taken := kept()) is not None:
                 return taken
             go_there = staging.take_place
 
     def add_dataset(self, staged: Path, label: str) -> bool:
-        """Rename the staged folder of a dataset to its name; false when the name is taken."""
+        """Rename the staged folder of a dataset to its name; return false if the name is taken."""
         target = self.root / "datasets" / label
         make_folder(target.parent)
         try:
@@ -136,21 +136,21 @@ class FolderStore(Store):
         return True
 
     def remove_folders(self, targets: Iterable[Path]) -> None:
-        """Remove folders of the store in this order, each in one rename; those that are not there are skipped."""
+        """Remove folders of the store in this order, each in one rename; missing ones are skipped."""
         targets = list(targets)
         if not any(target.exists() for target in targets):
             return
         parents = set()
         with closing(StagingFolder(self.staging_root)) as staging:
             for target in targets:
-                with suppress(FileNotFoundError):  # moved away by another
+                with suppress(FileNotFoundError):  # moved by another process
                     target.rename(staging.path / uuid.uuid4().hex)
                     parents.add(target.parent)
             for parent in parents:
                 sync_folder(parent)
 
     def _there(self, ref: ArtifactRef) -> Manifest | None:
-        """Return the manifest under a key, also one of other columns, where its files are there; else None."""
+        """Return the manifest under a key, with any columns, if its files exist; else None."""
         with suppress(MissingArtifact, CorruptArtifact):
             manifest = self.load(ref.stage, ref.key)
             return manifest if self.has_files(manifest) else None

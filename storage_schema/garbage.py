@@ -1,4 +1,4 @@
-"""Garbage collection: no artifact that is kept was computed from one that is removed."""
+"""Garbage collection: keeps all ancestors of kept artifacts."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from storage_schema.manifest import MANIFEST_NAME, Manifest
 from storage_schema.store import Store
 
 StageKey = tuple[str, str]
-"""An artifact, whatever it holds."""
+"""An artifact with any content."""
 
 _KEY = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
 class Stored:
-    """What stands under a key: when it was made, what it was computed from, its bytes on the disk, the manifest's too.
+    """The artifact under a key: creation time, inputs, and bytes on the disk with the manifest's.
 
     A folder whose manifest is none counts by the time of its last change; what it was computed from is not known.
     """
@@ -76,7 +76,7 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
 
 
 def remove_unneeded(store: Store, sweep: Sweep) -> None:
-    """Remove the garbage; after a kill at any moment the store is intact, and the same call finishes the work."""
+    """Remove the garbage. After a kill at any moment the store is intact, and the same call finishes the work."""
     store.remove_folders(store.folder(*stored.place) for stored in sweep.going)
     store.clear_leftovers()
     store.sweep()
@@ -91,18 +91,18 @@ def _all(store: Store) -> Iterator[Stored]:
     for folder in store.folders():
         place = (folder.parent.parent.name, folder.name)
         if not _KEY.fullmatch(folder.name) or folder != store.folder(*place):
-            continue  # somebody's own folder: a store may lie among other things
+            continue  # a foreign folder: a store may be among other files
         inputs: tuple[StageKey, ...] = ()
         is_damaged = True
         manifest: Manifest | None = None
-        with suppress(FileNotFoundError):  # another process has just removed it
+        with suppress(FileNotFoundError):  # removed by another process
             made_at = datetime.fromtimestamp(folder.stat().st_mtime, UTC)
             try:
                 manifest = store.load(*place)
                 made_at = datetime.fromisoformat(manifest.created_at)
                 inputs = tuple((ref.stage, ref.key) for ref in manifest.inputs)
                 is_damaged = False
-            except OlderSchema:  # whose form is not known, but for what all have
+            except OlderSchema:  # only fields that all schemas have are known
                 with suppress(ValueError, KeyError, TypeError):
                     values = json.loads((folder / MANIFEST_NAME).read_bytes())
                     made_at = datetime.fromisoformat(values["created_at"])

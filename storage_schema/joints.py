@@ -1,4 +1,4 @@
-"""Joint names of the working skeletons, as the joint axes of stored columns carry them.
+"""Joint names of the working skeletons, for the joint axes of stored columns.
 
 The science defines the skeletons; storage does not import the science, so the names stand here a second time and a test
 holds the two equal.

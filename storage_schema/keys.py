@@ -17,7 +17,7 @@ _ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=
 
 
 def canonical_json(value: Any, where: str = "value") -> bytes:
-    """Return the one spelling of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
+    """Return the canonical bytes of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
 
     Raises:
         StorageError: The value, `where` in the message, holds something that JSON has no spelling for, such as NaN, an
@@ -26,7 +26,7 @@ def canonical_json(value: Any, where: str = "value") -> bytes:
     try:
         spelled = _ENCODER.encode(value).encode()
         try:
-            orjson.dumps(value)  # refuses the same keys, and more: a plan asks for 100,000
+            orjson.dumps(value)  # a fast check that refuses the same keys, and more: a plan needs 100,000
         except TypeError:
             _check_keys(value)
     except (TypeError, ValueError) as error:
@@ -35,7 +35,7 @@ def canonical_json(value: Any, where: str = "value") -> bytes:
 
 
 def _check_keys(value: Any) -> None:
-    """Refuse keys that are not texts, of which the encoder makes texts: 1 and "1" would be the same."""
+    """Refuse keys that are not text; the encoder would convert them, so that 1 and "1" were the same."""
     if isinstance(value, dict):
         if other := [key for key in value if not isinstance(key, str)]:
             raise TypeError(f"keys must be texts, not {other[0]!r}")
@@ -45,12 +45,12 @@ def _check_keys(value: Any) -> None:
 
 
 def plain_json(value: Any, where: str = "value") -> Any:
-    """Return a JSON value as it reads back from a file: mappings as dicts, sequences as lists, a copy all through."""
+    """Return a deep copy of a JSON value as it is read from a file: mappings as dicts, sequences as lists."""
     return json.loads(canonical_json(value, where))
 
 
 def json_file(values: Mapping[str, Any]) -> bytes:
-    """Return values as files of JSON have them, for people to read too."""
+    """Return values as the bytes of a readable JSON file."""
     return (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode()
 
 
@@ -63,7 +63,7 @@ def artifact_key(
     after: Sequence[str] = (),
     seed: int,
 ) -> str:
-    """Return the sha256 that names an artifact by everything that decides its content; parameters are JSON values.
+    """Return the sha256 over everything that determines an artifact's content; parameters are JSON values.
 
     Paths, times, hosts, study names and worker counts are never part of it.  Inputs are content digests of artifacts
     and sha256 of outside files, in the order they are read; `after` are keys of other shards of the same plan.
@@ -105,7 +105,7 @@ def shard_key(
 
 
 def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files: Mapping[str, str]) -> str:
-    """Return the digest of all that others may read of an artifact: where it stands, its facts, its data files.
+    """Return the digest of everything that others may read of an artifact: its place, its facts, its data files.
 
     Two artifacts of one stage with the same digest are the same to everything downstream, whatever their keys:
     times, versions, parameters and licences are not in it.  Facts are JSON values, `files` sha256 by file name.
@@ -115,6 +115,6 @@ def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files
 
 
 def file_sha256(path: str | Path) -> str:
-    """Return the sha256 of a file's bytes; OSError where it cannot be read."""
+    """Return the sha256 of a file's bytes; OSError if it cannot be read."""
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""The lease of a store in a bucket: one build at a time, named by a file that its holder renews.
+"""The lease of a store in a bucket, which allows one build at a time: a file that its holder renews.
 
 A lease is renewed as long as its holder lives.  Nobody's clock is compared with another's: who finds it unchanged for
 `LEASE_S` of watching, or its holder dead on this machine, takes it, on the condition that it still is what was read.
@@ -23,26 +23,26 @@ from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.errors import StorageError
 
 LEASE_S = 60.0
-"""A lease that was not renewed for so long belongs to nobody."""
+"""Time without renewal after which a lease is free."""
 _BEAT_S = 4.0
 _WATCH_S = 0.5
 _SAY_AFTER_S = 4.5
-"""A lease that is not renewed for so long is said: a holder that lives renews it before."""
+"""Time without renewal after which this is logged; a live holder renews earlier."""
 _log = logging.getLogger(__name__)
 
 
 class Lease:
-    """The right of this process to build in a store, once it was taken."""
+    """The right of this process to build in a store, once it is taken."""
 
     def __init__(self, remote: RemoteStore) -> None:
         self._remote = remote
         self._name, self._tag, self._count = uuid.uuid4().hex, "", 0
         self._lock = threading.Lock()
         self.is_over = False
-        """Whether it was given up, or lost to another."""
+        """Whether it was released, or lost to another run."""
 
     def take(self) -> None:
-        """Have the lease, or wait to see whether its holder lives.
+        """Take the lease, or wait to find out whether its holder is alive.
 
         Raises:
             StorageError: Another run has it.
@@ -81,7 +81,7 @@ class Lease:
             time.sleep(_WATCH_S)
 
     def renew(self, *, released: bool = False) -> bool:
-        """Tell whether the lease is still held; now it is for longer, or given up."""
+        """Renew or release the lease; return whether it was still held."""
         with self._lock:
             for _ in range(2):
                 if self.is_over:
@@ -108,7 +108,7 @@ class Lease:
             raise self.lost()
 
     def lost(self) -> StorageError:
-        """Return the error where another has it."""
+        """Return the error for a lost lease."""
         return StorageError(
             f"another run has taken over the store {self._remote.url}, as the lease of this one was not renewed for "
             f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
@@ -120,7 +120,7 @@ class Lease:
 
 
 def each_beat(do: Callable[[], object], ended: threading.Event) -> None:
-    """Do something again and again until the block has ended; while the bucket does not answer, try the next time."""
+    """Call a function at intervals until the block ends; if the bucket does not answer, try again next time."""
     while not ended.wait(_BEAT_S):
         with suppress(RemoteError, FileNotFoundError):
             do()
@@ -131,18 +131,18 @@ def _parsed(lease: bytes) -> dict[str, Any]:
     parsed = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
     with suppress(ValueError, TypeError):
         parsed |= json.loads(lease)
-    # Whoever may write in the bucket wrote them, and they are printed.
+    # Anyone with write access to the bucket may have written them, and they are printed.
     return parsed | {name: json.dumps(str(parsed[name]))[1:-1] for name in ("host", "pid")}
 
 
 def _is_dead_here(parsed: dict[str, Any]) -> bool:
-    """Tell whether a lease's process was one of this system and has ended."""
+    """Return whether a lease's process belonged to this system and has ended."""
     return parsed["system"] == _system() != "" and not Path(f"/proc/{parsed['pid']}").exists()
 
 
 @cache
 def _system() -> str:
-    """Return what numbers processes here: containers of one host name may have others under the same numbers."""
+    """Return an id of this system's process numbers, which differ between containers of one host name."""
     try:
         return f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {Path('/proc/self/ns/pid').readlink()}"
     except OSError:

@@ -1,4 +1,4 @@
-"""Licences and credits of what artifacts came from, as they stand today, and datasets made with them."""
+"""Current licences and credits of the sources of artifacts, and datasets made with them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from storage_schema.store import Store
 
 
 def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]:
-    """Return the licence and credit of every source of these artifacts, as they stand today.
+    """Return the current licence and credit of every source of these artifacts.
 
     A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
     the credits that the last runs say which have it on record, only those whose sources these are where some are.
@@ -33,7 +33,7 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
     stated: list[Iterable[SourceCredit]] = []
     while waiting:
         ref = waiting.pop()
-        # What has the same content in these runs may have come from elsewhere than what was there before.
+        # The same content in these runs may come from other sources than the earlier artifact.
         sources = _there(store, ref, mine)
         sources = [manifest for manifest in sources if manifest.ref.place in named] or sources
         every: Sequence[Manifest | None] = sources or [find_manifest(store, ref)]
@@ -54,13 +54,13 @@ def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]
 
 
 def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, ArtifactRef]]) -> list[Manifest]:
-    """Return the artifacts of these runs that have this content and are in the store."""
+    """Return the artifacts of these runs with this content that are in the store."""
     manifests = (find_manifest(store, run[ref]) for run in runs if ref in run)
     return [manifest for manifest in manifests if manifest is not None]
 
 
 def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
-    """Return the credits of a source as the newest dataset that needs it says them, else as it says itself.
+    """Return the credits of a source from the newest dataset that needs it, else its own.
 
     Where a source has another name there than it had, all that the dataset says: its own may be among them.
     """
@@ -74,7 +74,7 @@ def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
 
 def _last_runs(store: Store) -> Iterator[LatestRun]:
     for study in latest_studies(store):
-        with suppress(OlderSchema):  # what is of an older schema has other content than all that is read here
+        with suppress(OlderSchema):  # artifacts of an older schema have other content
             if (latest := read_latest(store, study)) is not None:
                 yield latest
 
@@ -88,7 +88,7 @@ def create_dataset(
     note: str = "",
     attachments: Mapping[str, bytes] | None = None,
 ) -> Dataset:
-    """Return a list of artifacts a name and a version that never change.
+    """Create a dataset: name a list of artifacts by a name and a version that never change.
 
     Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card.
 

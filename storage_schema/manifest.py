@@ -1,4 +1,4 @@
-"""What an artifact says about itself: the manifest, the only thing readers trust."""
+"""The manifest of an artifact, which describes it and is the only source that readers trust."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
 Identity = tuple[str, str, str]
 
 _SHARED: dict[tuple[tuple[str, str], ...], dict[str, str]] = {}
-"""Package versions as manifests have them: one and the same in nearly all, so they are kept once."""
+"""Package versions of manifests, which are nearly always the same, so each is kept once."""
 _REFS: dict[Identity, ArtifactRef] = {}
-"""References as manifests have them: what many shards read is in the manifests of all of them."""
+"""References of manifests, each kept once, because many shards read the same artifacts."""
 _HEX_KEY = re.compile(r"[0-9a-f]{64}")
 
 
@@ -44,12 +44,12 @@ class ArtifactRef:
 
     @property
     def identity(self) -> Identity:
-        """Identity of the artifact, also among those of the same content: stage, key and content."""
+        """Stage, key and content, which also distinguish artifacts of the same content."""
         return self.stage, self.key, self.content_digest
 
     @property
     def place(self) -> tuple[str, str]:
-        """Where the artifact lies: its stage and its key."""
+        """Place of the artifact: its stage and its key."""
         return self.stage, self.key
 
     def __post_init__(self) -> None:
@@ -78,7 +78,7 @@ class FileEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Everything an artifact says about itself.
+    """The description of an artifact.
 
     Args:
         ref: The artifact.
@@ -128,7 +128,7 @@ class Manifest:
 
     @property
     def data_files(self) -> dict[str, FileEntry]:
-        """Every data file of the artifact by file name: its tables' parts and its attachments."""
+        """Every data file of the artifact by file name: parts of tables and attachments."""
         files = {f"{name}.parquet": FileEntry(part.bytes, part.sha256) for name, part in self.tables.items()}
         return files | self.attachments
 
@@ -145,7 +145,7 @@ class Manifest:
 
     @property
     def faults(self) -> list[str]:
-        """Contradictions in it, in words: it was changed after it was written.  Facts that it lacks are not checked."""
+        """Contradictions in it, in words, which show later changes. Absent fields are not checked."""
         faults = []
         if self.computed_digest != self.ref.content_digest:
             words = f"content digest {self.ref.content_digest[:12]} is not that of what it describes"
@@ -181,7 +181,7 @@ class Manifest:
 
     @classmethod
     def from_json(cls, text: bytes, *, where: str) -> Manifest:
-        """Read the bytes of a manifest file; `where` says in messages which one it is.
+        """Parse the bytes of a manifest file; `where` is its name in messages.
 
         A plan asks for 100,000 of them, so what was read becomes the fields as it stands.
 
@@ -202,7 +202,7 @@ class Manifest:
 
 
 def _own_digest(values: dict[str, Any]) -> str:
-    """Return the digest of all that a manifest says, but times."""
+    """Return the digest of all fields of a manifest except times."""
     said = {name: value for name, value in values.items() if name not in _IN_NO_DIGEST}
     return hashlib.sha256(canonical_json(said, "manifest")).hexdigest()
 
@@ -229,7 +229,7 @@ _T = TypeVar("_T")
 
 
 def with_fields(kind: type[_T], values: dict[str, Any]) -> _T:
-    """Return a dataclass with these values as its fields; a third of the time that its own constructor takes."""
+    """Return a dataclass with these values as its fields, in a third of its constructor's time."""
     names = vars(kind)["__dataclass_fields__"].keys()
     if values.keys() != names:
         raise KeyError(", ".join(sorted(values.keys() ^ names)))
@@ -239,7 +239,7 @@ def with_fields(kind: type[_T], values: dict[str, Any]) -> _T:
 
 
 def _shared_ref(values: dict[str, Any]) -> ArtifactRef:
-    """Return a reference that was read: one and the same for all shards that name the artifact."""
+    """Return a reference that was read, the same object for all manifests that name the artifact."""
     identity = values["stage"], values["key"], values["content_digest"]
     ref = _REFS.get(identity)
     if ref is None or len(values) != len(identity):
@@ -252,7 +252,7 @@ def _shared_ref(values: dict[str, Any]) -> ArtifactRef:
 def _parsed(values: dict[str, Any]) -> dict[str, Any]:
     """Convert the JSON values of a manifest to their types."""
     versions = values["package_versions"]
-    if "digest" not in values:  # written before manifests had it
+    if "digest" not in values:  # written before manifests had this field
         values |= {"reads": None, "after": (), "digest": ""}
     values["after"] = tuple(values["after"])
     values["ref"] = _shared_ref(values["ref"])

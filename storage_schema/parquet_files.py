@@ -19,7 +19,7 @@ from storage_schema.manifest import TableFile
 from storage_schema.table_data import TableData
 
 ROW_GROUP_ROWS = 10_000
-"""Rows of a row group: what a writer holds in memory and what a reader reads at a time."""
+"""Rows of a row group, which writers hold in memory and readers read at a time."""
 
 _COMPRESSION_LEVEL = 3
 
@@ -48,7 +48,7 @@ class TableWriter:
         self.append_rows(encode(self._table, columns))
 
     def append_rows(self, rows: pa.Table) -> None:
-        """Add rows that have the table's columns already."""
+        """Add rows that are already encoded."""
         self._waiting.append(rows)
         self._num_waiting += rows.num_rows
         self._num_rows += rows.num_rows
@@ -56,7 +56,7 @@ class TableWriter:
             self._write(ROW_GROUP_ROWS)
 
     def write_group(self, rows: pa.Table) -> None:
-        """Add rows that have the table's columns as a row group of their own, however many they are."""
+        """Add encoded rows as a separate row group of any size."""
         if self._num_waiting:
             self._write(self._num_waiting)
         self._parquet.write_table(rows.combine_chunks(), row_group_size=max(rows.num_rows, 1))
@@ -76,7 +76,7 @@ class TableWriter:
             try:
                 part.close()
             except (OSError, ValueError, pa.ArrowException):
-                # The error that made us give up is the one to tell; this is its echo.
+                # A consequence of the error that is reported.
                 continue
 
     def _write(self, num_rows: int) -> None:
@@ -89,7 +89,7 @@ class TableWriter:
 def read_table(
     path: Path, table: Table, *, columns: Sequence[str] | None = None, rows: slice | None = None
 ) -> TableData:
-    """Read rows of a table; only the row groups that hold them are read.
+    """Read rows of a table, and only the row groups with these rows.
 
     Without `columns` or `rows` all are read; columns come in the order of the definition, and rows as in Python:
     negative numbers count from the end and a long range is cut.
@@ -113,7 +113,7 @@ def read_table(
 def iter_table(
     path: Path, table: Table, *, columns: Sequence[str] | None = None, only: Mapping[str, str] = MappingProxyType({})
 ) -> Iterator[TableData]:
-    """Read a table one row group at a time; those that, by the file's statistics, hold `only` these texts in columns.
+    """Read a table one row group at a time, those that by the file's statistics hold `only` these texts in columns.
 
     Raises:
         SchemaError: A column is not in the table, or the file was written with other columns.
@@ -141,7 +141,7 @@ def groups_with(file: pq.ParquetFile, only: Mapping[str, str]) -> list[int]:
 
 
 def _options(table: Table) -> dict[str, Any]:
-    """Return the writer's options: what decides bytes is stated, so a moving default does not move a digest."""
+    """Return the writer's options; all that affect bytes are stated, so that changed defaults change no digest."""
     return {
         "version": "2.6",
         "data_page_version": "1.0",

@@ -1,4 +1,4 @@
-"""What computed an artifact: version and sources of the program, versions of the packages below it."""
+"""Provenance of an artifact: version and sources of the program, versions of packages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PACKAGES = (
 
 @cache
 def code_version() -> str:
-    """Return the version of the installed program, 'unknown' when it runs from sources that are not installed."""
+    """Return the version of the installed program; 'unknown' if it runs from sources that are not installed."""
     return _version("pasdedeux") or "unknown"
 
 

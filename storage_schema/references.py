@@ -31,7 +31,7 @@ _HOW = "a reference is table@key, table:study/partition or table:dataset@version
 
 @dataclass(frozen=True)
 class Reference:
-    """A parsed reference: its text, a table, and one of a key prefix, a study perhaps with a partition, or a dataset.
+    """A parsed reference: text, table, and one of key prefix, study (perhaps with a partition), or dataset.
 
     What begins no key is taken for the beginning of a content digest, by which tables refer to artifacts.
     """
@@ -68,7 +68,7 @@ def parse_reference(text: str) -> Reference:
 
 
 def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
-    """Return the artifacts whose parts of the table the reference names, in order.
+    """Return the artifacts that a reference names, in order.
 
     Raises:
         UnknownReference: It names nothing, or a key prefix names more than one artifact; says what is there.
@@ -93,7 +93,7 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
 
 
 def referenced_credits(store: Store, reference: Reference, refs: Sequence[ArtifactRef]) -> tuple[SourceCredit, ...]:
-    """Return licence and credit of every source of what a reference names: a dataset keeps those it was made with.
+    """Return licence and credit of every source of a reference; a dataset keeps those that it was made with.
 
     Raises:
         MissingArtifact: Something that the artifacts came from is no longer in the store.
@@ -129,7 +129,7 @@ def open_table(
 def iter_rows(
     reference: Reference | str, store: Store | str | Path | None = None, *, columns: Sequence[str] | None = None
 ) -> Iterator[TableData]:
-    """Read what `open_table` reads some 10,000 rows at a time, so memory stays bounded; raises the same."""
+    """Yield the rows of `open_table` some 10,000 at a time, so that memory stays bounded; raises the same."""
     opened, parsed = _opened(reference, store)
     for ref, rows in find_rows(parsed, opened):
         if parsed.row is None:
@@ -148,7 +148,7 @@ def table_files(reference: Reference | str, store: Store | str | Path | None = N
 
 
 def find_rows(reference: Reference, store: Store) -> list[tuple[ArtifactRef, slice]]:
-    """Return the artifacts that hold what a reference names, and which rows of their parts of the table it names.
+    """Return the artifacts that a reference names, with its rows in their parts of the table.
 
     Raises what `resolve` raises, and UnknownReference where there is no such row.
     """
@@ -212,7 +212,7 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
             f"study '{reference.study}' has no partition '{reference.partition}'; it has: {', '.join(partitions)}"
         )
     whole = {ref: manifest for ref in refs if (manifest := store.find(ref.stage, ref.key)) is not None}
-    # One stage writes a table: what is missing of other stages does not keep anybody from reading it.
+    # One stage writes a table; missing artifacts of other stages do not matter.
     stages = {ref.stage for ref, manifest in whole.items() if reference.table in manifest.tables}
     for ref in refs:
         if ref not in whole and (ref.stage in stages or not stages):
@@ -224,7 +224,7 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
 
 
 def what_is_wrong(ref: ArtifactRef, store: Store) -> str:
-    """Say why an artifact that a study recorded cannot be read."""
+    """Return why an artifact that a study recorded cannot be read."""
     try:
         outdated = store.outdated_tables(store.load(ref.stage, ref.key))
     except OlderSchema:

@@ -1,4 +1,4 @@
-"""Datasets in S3-compatible storage: a version is pushed there from a store, and pulled into any other.
+"""Datasets in S3-compatible storage: pushes a version there, and pulls it into any store.
 
 They lie there as in a store in a bucket (`bucket_layout`), and may be those of one.  What can be seen is whole, whoever
 else pushes, and a push that was cut off goes on where it ended.  Earlier releases pushed in another form, which is
@@ -37,7 +37,7 @@ from storage_schema.tables import TABLES
 
 
 def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Mapping[str, bytes] | None = None) -> int:
-    """Put a dataset, and all that it was computed from, into a bucket; gives the number of artifacts that were new.
+    """Push a dataset with all its ancestors to a bucket; return the number of new artifacts.
 
     `files` go with it, by name, in place of those in its folder.
 
@@ -54,12 +54,12 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Map
     is_new = remote.create(f"datasets/{dataset.label}", packed)
     if not is_new and _listed(remote, dataset.label, dataset.path)[0].digest != dataset.digest:
         raise DatasetExists(f"{remote.url} has another {dataset.label} already, which never changes")
-    _push_artifacts(store, manifests, remote)  # a `gc` of the bucket may have taken some before the dataset named them
+    _push_artifacts(store, manifests, remote)  # again, for those that a `gc` of the bucket removed meanwhile
     return num_new
 
 
 def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset, int]:
-    """Get the dataset `name@version`, or the newest version of `name`, with all that it was computed from.
+    """Pull the dataset `name@version`, or the newest version of `name`, with all its ancestors.
 
     Returns:
         The dataset in the store, and the number of artifacts that were new there.
@@ -89,7 +89,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
             raise CorruptArtifact(f"{remote.url}/{place} is the manifest of something else")
         return manifest
 
-    with in_use(store):  # what has come is needed by nothing before the list is there
+    with in_use(store):  # until the list is written, nothing needs the new artifacts
         manifests = _closure(remote, dataset.refs, manifest_of)
         num_new = sum(remote.at_once(lambda one: _pull_artifact(remote, one, store, is_old=is_old), manifests))
         if known is None:
@@ -100,13 +100,13 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 def _closure(
     remote: RemoteStore, refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]
 ) -> Sequence[Manifest]:
-    """Return the manifests of these artifacts and of all that they were computed from."""
+    """Return the manifests of these artifacts and of all their ancestors."""
     steps = walk(refs, lambda level: remote.at_once(manifest_of, level))
     return [step.manifest for step in steps if step.manifest is not None]
 
 
 def _listed(remote: RemoteStore, label: str, path: Path) -> tuple[Dataset, dict[str, bytes], bool]:
-    """Return a dataset of the bucket as one in a folder, its files, and whether it is of an earlier release's form."""
+    """Return a dataset of the bucket as one in a folder, its files, and whether an earlier release wrote it."""
     data, where = read_dataset(remote, label), f"{remote.url}/datasets/{label}"
     if not is_old_list(data):
         files = unpack_dataset(data, where)
@@ -126,7 +126,7 @@ def _file_place(sha256: str, *, is_old: bool) -> str:
 
 
 def _push_artifacts(store: Store, manifests: Sequence[Manifest], remote: RemoteStore) -> int:
-    """Put those into the bucket that it has not; gives their number."""
+    """Push missing artifacts to the bucket; return their number."""
     there = {entry["path"]: entry for folder in ("parts", "manifests") for entry in remote.entries(folder)}
 
     def push(manifest: Manifest) -> bool:
@@ -174,11 +174,11 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store, *, is_
 
 
 def check_ids(manifest: Manifest, folder: Path, where: str) -> None:
-    """Refuse ids that are no plain names: files that are written of these rows are called after them."""
+    """Refuse ids that are no plain names, because exported files are named by them."""
     identifiers = [(name, value) for name, value in manifest.facts.items() if name.endswith("_id")]
     for table in manifest.tables:
         columns = TABLES[table].id_columns if table in TABLES else ()
-        with suppress(SchemaError):  # columns of another version, which nothing here reads
+        with suppress(SchemaError):  # columns of another version, which are not read here
             for rows in iter_table(folder / f"{table}.parquet", TABLES[table], columns=columns) if columns else ():
                 identifiers += [(name, value) for name in columns for value in set(rows[name].tolist())]
     for name, value in identifiers:

@@ -30,13 +30,13 @@ from storage_schema.version import SCHEMA_VERSION
 STUDY_FILE = "study.json"
 """File of a run's folder, and of a dataset: the resolved study."""
 REPORT_PAGE = "report.html"
-"""Page of a report, which stands in the folder of its run."""
+"""Page of a report, in the folder of its run."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 @dataclass(frozen=True)
 class InputRecord:
-    """An artifact that a shard read: where it stood in its stage, and its content."""
+    """An artifact that a shard read: its place in its stage, and its content."""
 
     stage: str
     partition: str
@@ -46,7 +46,7 @@ class InputRecord:
 
 @dataclass(frozen=True)
 class ShardRecord:
-    """A shard as the last run of a study made it: its artifact and everything that decided it."""
+    """A shard of the last run of a study: its artifact and everything that determined it."""
 
     partition: str
     name: str
@@ -101,16 +101,16 @@ class RunFolder:
     path: Path
 
     def write(self, name: str, content: Mapping[str, Any]) -> None:
-        """Put a file of JSON in the folder, whole or not at all; FullDisk where there is no room left."""
+        """Write a JSON file to the folder in one step; FullDisk if there is no room left."""
         self.write_bytes(name, json_file(plain_json(dict(content), name)))
 
     def write_bytes(self, name: str, data: bytes) -> None:
-        """Put a file in the folder, whole or not at all; FullDisk where there is no room left."""
+        """Write a file to the folder in one step; FullDisk if there is no room left."""
         with write_errors(self.path):
             replace_file(self.path / name, data, staging_root=self.path.parents[1] / "tmp")
 
     def read(self, name: str) -> bytes:
-        """Return the bytes of a file of the folder; MissingArtifact where there is none."""
+        """Return the bytes of a file of the folder; MissingArtifact without it."""
         try:
             return (self.path / name).read_bytes()
         except FileNotFoundError:
@@ -128,7 +128,7 @@ def new_run(store: Store, study: str) -> RunFolder:
 
 
 def open_run(store: Store, run_id: str) -> RunFolder:
-    """Return the folder of a run; MissingArtifact where there is none."""
+    """Return the folder of a run; MissingArtifact without it."""
     path = store.root / "runs" / _checked(run_id)
     if run_id == "latest" or not path.is_dir():
         raise MissingArtifact(f"there is no run '{run_id}' in the store {store}")
@@ -150,7 +150,7 @@ def latest_studies(store: Store) -> list[str]:
 
 
 def read_latest(store: Store, study: str) -> LatestRun | None:
-    """Return the last run of a study, None if it has not run in this store.
+    """Return the last run of a study; None if it has not run in this store.
 
     Raises:
         CorruptArtifact: The record cannot be read.
@@ -183,7 +183,7 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     store.prepare()
     with write_errors(store.root), locked_file(path, fcntl.LOCK_EX):
         before = None
-        with suppress(CorruptArtifact, OlderSchema):  # such a record gives way
+        with suppress(CorruptArtifact, OlderSchema):  # such a record is replaced
             before = read_latest(store, study)
         merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
         latest = LatestRun(study=study, run_id=run_id, stages=merged)

@@ -1,4 +1,4 @@
-"""Temporary folders of a store: where things grow before they are there, and how a crash's leftovers go.
+"""Temporary folders of a store: hold unfinished files, and are removed after a crash.
 
 A folder's owner holds a lock on a file beside it for as long as it lives; the system frees the lock when the process
 dies, however it dies.  So a folder whose lock can be taken belongs to nobody.  Locks are trusted on the owner's host
@@ -37,7 +37,7 @@ class StagingFolder:
             raise
 
     def take_place(self, target: Path) -> None:
-        """Put the folder in the place of another one of the store, which is here afterwards.
+        """Exchange the folder with another one of the store.
 
         That is one step; where the file system has none for it, who dies between the two leaves the other folder aside,
         and whoever clears up puts it back.
@@ -61,7 +61,7 @@ class StagingFolder:
 
 
 def replace_file(path: Path, data: bytes, *, staging_root: Path) -> None:
-    """Put a whole file in the place of `path`: a reader sees the old one or the new one, nothing between."""
+    """Replace a file in one step: readers see the old or the new one."""
     make_folder(path.parent)
     with contextlib.closing(StagingFolder(staging_root)) as staging:
         write_file(staging.path / path.name, data)
@@ -70,14 +70,14 @@ def replace_file(path: Path, data: bytes, *, staging_root: Path) -> None:
 
 
 def clean_leftovers(root: Path) -> int:
-    """Remove the folders under `root` whose owners are dead; gives their number."""
+    """Remove the folders under `root` whose owners are dead; return their number."""
     if not root.is_dir():
         return 0
     return sum(_clean(lock_path) for lock_path in sorted(root.glob("*.lock")))
 
 
 def _new_lock(root: Path) -> tuple[int, str]:
-    """Make and lock a new lock file; a cleaner may take it in between, then another is made."""
+    """Create and lock a new lock file; if a cleaner takes it in between, create another."""
     while True:
         name = f"{host_name()}.{os.getpid()}.{uuid.uuid4().hex[:12]}"
         path = root / f"{name}.lock"
@@ -88,7 +88,7 @@ def _new_lock(root: Path) -> tuple[int, str]:
             os.close(handle)
             continue
         except OSError:
-            # A file system without locks: leftovers stay there until they are old.
+            # A file system without locks: leftovers stay until they are old.
             return handle, name
         if path.exists():
             return handle, name
@@ -122,14 +122,14 @@ def _is_untouched(folder: Path) -> bool:
     for path in (folder, folder.with_name(f"{folder.name}.lock"), *folder.glob("*")):
         with contextlib.suppress(OSError):
             newest = max(newest, path.stat().st_mtime)
-    clock.touch(exist_ok=False)  # the times of files are their server's, whose clock may be another
+    clock.touch(exist_ok=False)  # times of files come from the file server, whose clock may differ
     now = clock.stat().st_mtime
     clock.unlink()
     return now - newest > _FOREIGN_AGE_S
 
 
 def _clear(folder: Path) -> None:
-    """Remove a folder, and put back what it was about to take the place of where nothing is there now."""
+    """Remove a folder, and restore the one that it was about to replace if its place is empty."""
     for aside in folder.parent.glob(f"{folder.name}{_ASIDE}*"):
         with contextlib.suppress(OSError):
             aside.rename(folder.parents[1].joinpath(*aside.name.partition(_ASIDE)[2].split(".")))
@@ -138,5 +138,5 @@ def _clear(folder: Path) -> None:
 
 
 def host_name() -> str:
-    """Return the name of this machine as file names may have it."""
+    """Return the name of this machine in a form for file names."""
     return socket.gethostname().replace(".", "-").replace("/", "-") or "host"

@@ -1,4 +1,4 @@
-"""The artifact store: finds, reads and commits artifacts where many processes share them.
+"""The artifact store: finds, reads and commits artifacts, shared by many processes.
 
 Layout of a store's folder: `<root>/<stage>/<key[:2]>/<key>/` holds `<table>.parquet` files, attachments and
 `manifest.json`; `tmp/` holds what is being written, `runs/` and `datasets/` what runs and people say about artifacts.
@@ -32,12 +32,12 @@ from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
 
 SHARD_S, PROCESSOR_S = "shard_s", "processor_s"
-"""Timings of an artifact that was measured: from the shard's beginning to its commit."""
+"""Timings of a measured artifact, from the start of its shard to its commit."""
 STORE_FILE = "store.json"
 
 _STAGE_NAME = re.compile(r"[a-z][a-z0-9_]*")
 _S3 = re.compile(r"s3:/*(.*)")
-"""An address in S3-compatible storage, also as a path says it, with one stroke."""
+"""An address in S3-compatible storage, also as a path, with one slash."""
 _log = logging.getLogger(__name__)
 
 
@@ -51,7 +51,7 @@ class Store:
     """
 
     root: Path
-    """Folder with the usual layout: the store's own, or its mirror here."""
+    """Folder with the layout of a store: its own, or its local mirror."""
     place: str
 
     def __new__(cls, place: str | Path) -> Store:
@@ -59,7 +59,7 @@ class Store:
         if cls is not Store:
             return super().__new__(cls)
         if there := _S3.fullmatch(str(place)):
-            from storage_schema.bucket_store import BucketStore  # here: who stores in folders need not load the client
+            from storage_schema.bucket_store import BucketStore  # here, as folders need no client
 
             return BucketStore(f"s3://{there[1]}")
         from storage_schema.folder_store import FolderStore
@@ -70,7 +70,7 @@ class Store:
         self.root, self.place = root, place
         self._is_checked = False
         self._begun = threading.local()
-        # Texts, where a plan asks for 100,000 artifacts: paths take longer to make than files to open.
+        # Strings, because a plan reads 100,000 artifacts: making a path takes longer than opening a file.
         self._prefix, self._version_file = f"{root}/", f"{root}/{STORE_FILE}"
 
     def __repr__(self) -> str:
@@ -88,7 +88,7 @@ class Store:
     def __reduce__(self) -> tuple[type[Store], tuple[str]]:
         return Store, (self.place,)
 
-    # What each kind of store does in its own way
+    # Operations of the kinds of stores
 
     def refresh(self) -> None:
         """Bring the view of the store up to date, where it is not read directly; RemoteError if it does not answer."""
@@ -106,34 +106,34 @@ class Store:
         """Bring the manifest of an artifact into `root` as it is now, if `known` is not there."""
 
     def has_files(self, manifest: Manifest) -> bool:
-        """Tell whether every file of an artifact is there with the right size."""
+        """Return whether every file of an artifact is there with the right size."""
         raise NotImplementedError
 
     def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
-        """Return the path of a data file of an artifact, for reading only; it is brought here first.
+        """Return the local path of a data file of an artifact, for reading only.
 
         CorruptArtifact where it is gone or damaged, or its name would lead out of the artifact's folder.
         """
         raise NotImplementedError
 
     def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
-        """Return the sha256 of the bytes of a data file as they lie in the store; OSError where they cannot be read."""
+        """Return the sha256 of the bytes of a data file in the store; OSError if they cannot be read."""
         raise NotImplementedError
 
     def drop_copies(self, manifest: Manifest) -> bool:
-        """Remove copies here of data files whose bytes are not the store's; returns whether there were any."""
+        """Remove local copies of data files whose bytes are not the store's; return whether there were any."""
         return False
 
     def prepare(self) -> None:
-        """Make the store where it is not there, and clear away what dead processes left; once per object."""
+        """Create the store if necessary, and remove leftovers of dead processes; once per object."""
         raise NotImplementedError
 
     def can_write(self) -> bool:
-        """Tell whether this process, a worker, can write to the store, which is there."""
+        """Return whether this process, a worker, can write to the existing store."""
         raise NotImplementedError
 
     def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
-        """Put the staged files of this manifest under its key; returns the artifact that is there in the end.
+        """Put the staged files of this manifest under its key; return the artifact that is there in the end.
 
         Raises:
             NamedByDataset: A dataset needs what is there, and this has other bytes.
@@ -141,11 +141,11 @@ class Store:
         raise NotImplementedError
 
     def add_dataset(self, staged: Path, label: str) -> bool:
-        """Give the staged folder of a dataset its name in one step; false when the name is taken."""
+        """Rename the staged folder of a dataset to its name in one step; return false if the name is taken."""
         raise NotImplementedError
 
     def remove_folders(self, targets: Iterable[Path]) -> None:
-        """Remove artifacts and runs by their folders, in this order, each in one step; none is as good."""
+        """Remove artifacts and runs by their folders, in this order, each in one step; missing ones are skipped."""
         raise NotImplementedError
 
     def sweep(self) -> None:
@@ -163,7 +163,7 @@ class Store:
         return self.root / stage / key[:2] / key
 
     def find(self, stage: str, key: str) -> Manifest | None:
-        """Return the artifact's manifest when it is valid and its files are there with the right size, else None.
+        """Return the artifact's manifest if it is valid and its files have the right sizes, else None.
 
         An artifact whose tables have other columns than this program declares is not valid either.  NewerSchema where
         the store was written by a newer program.
@@ -202,7 +202,7 @@ class Store:
                 yield manifest
 
     def folders(self, stage: str | None = None, key_prefix: str = "") -> list[Path]:
-        """Return the folders that stand under a key, valid or not, in the order of stage and key."""
+        """Return the folders of artifacts, valid or not, in the order of stage and key."""
         paths = self.root.glob(
             f"{stage or '*'}/{key_prefix[:2] or '*'}{'*' if len(key_prefix) == 1 else ''}/{key_prefix}*"
         )
@@ -230,7 +230,7 @@ class Store:
         self.manifest(ref)  # as in `read`
 
     def attachment(self, ref: ArtifactRef, name: str) -> bytes:
-        """Return the bytes of an attached file; MissingArtifact without it, CorruptArtifact where the file is gone."""
+        """Return the bytes of an attached file; MissingArtifact without it, CorruptArtifact if the file is gone."""
         manifest = self.manifest(ref)
         if name not in manifest.attachments:
             there = ", ".join(manifest.attachments) or "none"
@@ -243,7 +243,7 @@ class Store:
         return data
 
     def load(self, stage: str, key: str) -> Manifest:
-        """Return the manifest that stands under a key in `root`, whether or not its files are there.
+        """Return the manifest under a key in `root`, whether or not its files exist.
 
         Raises:
             MissingArtifact: There is none.
@@ -272,7 +272,7 @@ class Store:
         ]
 
     def table_path(self, ref: ArtifactRef, table: str) -> Path:
-        """Return the path of the artifact's part of a table, for reading only; MissingArtifact where it has none."""
+        """Return the path of the artifact's part of a table, for reading only; MissingArtifact without one."""
         manifest = self.manifest(ref)
         if table not in manifest.tables or table not in TABLES:
             there = ", ".join(manifest.tables) or "none"
@@ -281,7 +281,7 @@ class Store:
         return self.data_file(ref, name, manifest.data_files[name])
 
     def damaged_files(self, manifest: Manifest) -> list[str]:
-        """Return the files that are gone or whose bytes are others, twice read; not those that cannot be read."""
+        """Return the files that are missing or differ, each read twice; not those that cannot be read."""
 
         def is_damaged(name: str, entry: FileEntry) -> bool:
             try:
@@ -294,7 +294,7 @@ class Store:
         return [n for n, entry in manifest.data_files.items() if is_damaged(n, entry) and is_damaged(n, entry)]
 
     def check_version(self) -> None:
-        """Refuse a store of a newer program (NewerSchema) and what is none (NotAStore); looked up once per object."""
+        """Refuse a store of a newer program (NewerSchema) and other files (NotAStore); checked once per object."""
         if self._is_checked:
             return
         try:
@@ -320,7 +320,7 @@ class Store:
         sources: Sequence[SourceCredit] = (),
         **described: Unpack[ArtifactFields],
     ) -> ArtifactRef:
-        """Write an artifact under its key, whole or not at all.
+        """Write an artifact under its key in one step.
 
         When a valid artifact is already there (another process was first) this one is discarded and that one is given,
         unless this one `replaces` it: then both change places in one step, and a reader always finds one of them whole.
@@ -347,7 +347,7 @@ class Store:
         return writer.ref
 
     def measure(self) -> None:
-        """Begin to measure: artifacts say in `timings` what it took since now, wall clock and processor, seconds.
+        """Start the clocks for `timings` of artifacts: wall clock and processor time from now, seconds.
 
         Both are of this thread, so that shards beside it in the same worker do not count.
         """
@@ -361,7 +361,7 @@ class Store:
         sources: Sequence[SourceCredit] = (),
         **described: Unpack[ArtifactFields],
     ) -> Iterator[ArtifactWriter]:
-        """Write an artifact piece by piece: rows are streamed to the disk, and the block's end commits.
+        """Write an artifact piece by piece: rows are streamed to the disk, and the end of the block commits.
 
         When the block raises, nothing stays behind.  Arguments and errors are those of `commit`.
         """
@@ -383,7 +383,7 @@ class Store:
                 writer.ref = self.put_in_place(staging, manifest, replaces=described.get("replaces", False))
 
     def discard(self, ref: ArtifactRef) -> None:
-        """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
+        """Remove an artifact, if it is there."""
         with write_errors(self.root):
             self.remove_folders([self.folder(ref.stage, ref.key)])
 
@@ -400,11 +400,11 @@ class Store:
         return is_damaged
 
     def clear_leftovers(self) -> None:
-        """Remove half-written files of dead processes; those of a dying process are left for the next time."""
+        """Remove unfinished files of dead processes; those of a dying process stay until the next time."""
         clean_leftovers(self.staging_root)
 
     def stays(self, present: Manifest, new: Manifest, *, replaces: bool, are_files_new: bool = False) -> bool:
-        """Tell whether an artifact that is there keeps its place against a new one under its key.
+        """Return whether an existing artifact keeps its place against a new one under its key.
 
         `are_files_new` where its files, if they are the same, have just been written again.
 
@@ -441,5 +441,5 @@ class Store:
 
 @cache
 def _declared(table: str) -> str:
-    """Return the digest of a table's columns; by name, as hashing all columns takes longer than anything else of it."""
+    """Return the digest of a table's columns, cached by name, because hashing all columns is slow."""
     return schema_digest(TABLES[table])

@@ -1,4 +1,4 @@
-"""Rows of a table as a reader sees them: numpy arrays by column name."""
+"""Rows of a table for readers: numpy arrays by column name."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class TableData:
         return self._decoded[name]
 
     def is_null(self, name: str) -> np.ndarray:
-        """Tell for each row whether the column is null there, as a bool array (rows,)."""
+        """Return for each row whether the column is null there, as a bool array (rows,)."""
         self[name]
         return np.array(self.rows.column(name).is_null().to_numpy(), dtype=bool)
 
@@ -92,7 +92,7 @@ class TableData:
 
 
 def concatenate(table: Table, parts: Iterable[TableData]) -> TableData:
-    """Return the rows of all parts as one; no parts give no rows of the whole table."""
+    """Return the rows of all parts as one table; without parts an empty one with all columns."""
     listed = [part.rows for part in parts]
     return TableData(table, pa.concat_tables(listed) if listed else arrow_schema(table).empty_table())
 
@@ -118,5 +118,5 @@ def _decode(column: Column, chunks: pa.ChunkedArray) -> Any:
 
 
 def _numpy(values: pa.Array) -> np.ndarray:
-    """Return a writable copy: Arrow's own memory is read-only, which numba and torch treat as another type."""
+    """Return a writable copy; Arrow's own memory is read-only, which numba and torch treat as another type."""
     return np.array(values.to_numpy(zero_copy_only=False))

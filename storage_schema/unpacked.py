@@ -1,4 +1,4 @@
-"""Unpacked clips: rows of fixed width in flat files, of which any few are read by one request of the system.
+"""Unpacked clips: rows of fixed width in flat files, so that any few rows are read in one system call.
 
 A Parquet file gives a row only with the thousands that are compressed with it.  What is read in any order, again and
 again, such as windows to train on, is therefore unpacked once into a folder of the cache, a third larger than the
@@ -31,7 +31,7 @@ from storage_schema.staging import StagingFolder, clean_leftovers
 
 _JOINTS = len(JOINT_NAMES["body22"])
 CONTACT = np.dtype([("frame", "<i4"), ("pair", "<i2"), ("bones", "<i2"), ("weight", "<f4")])
-"""A contact: its frame, the number of the two people, `22 * bone + bone` of both, and its weight."""
+"""A contact: frame, number of the pair of people, `22 * bone + bone`, and weight."""
 ROWS: Mapping[str, np.dtype] = {
     "positions": np.dtype(("<f4", (_JOINTS, 3))),
     "rotations": np.dtype(("<f4", (_JOINTS, 4))),
@@ -48,7 +48,7 @@ _DIGEST = re.compile("[0-9a-f]{64}")
 
 
 class ClipWriter:
-    """Writes rows as they come, and what is said of each clip."""
+    """Writes rows as they come, and the description of each clip."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -63,12 +63,12 @@ class ClipWriter:
         return first
 
     def add_clip(self, **columns: Any) -> None:
-        """Say of a clip where its rows begin, and what else is known of it."""
+        """Add the description of a clip: where its rows begin, and other facts."""
         for name, value in columns.items():
             self._clips.setdefault(name, []).append(value)
 
     def close(self) -> None:
-        """Bring all of it to the disk."""
+        """Sync all of it to the disk."""
         with ExitStack() as files:
             for file in self._files.values():
                 files.callback(file.close)
@@ -88,11 +88,11 @@ class UnpackedClips:
         return UnpackedClips, (self.folder,)
 
     def clips(self) -> pa.Table:
-        """Return what is said of the clips, a row each."""
+        """Return the descriptions of the clips, one row each."""
         return pq.read_table(self.folder / _CLIPS)
 
     def read(self, name: str, first: npt.NDArray[np.int64], into: Iterable[npt.NDArray[Any]]) -> None:
-        """Fill arrays, each contiguous, with rows of a file, from its row `first` (n,) on.
+        """Fill contiguous arrays with rows of a file, each from its row in `first` (n,) on.
 
         Raises:
             CorruptArtifact: The file ends before.
@@ -105,13 +105,13 @@ class UnpackedClips:
                 raise CorruptArtifact(f"{self.folder / name} is cut short; remove the folder, it is unpacked anew")
 
     def read_rows(self, name: str, first: int, count: int) -> npt.NDArray[Any]:
-        """Return so many rows of a file from one on; raises what `read` raises."""
+        """Return `count` rows of a file from row `first` on; raises what `read` raises."""
         rows = np.empty((count, *ROWS[name].shape), ROWS[name].base)
         self.read(name, np.array([first]), [rows])
         return rows
 
     def take(self, name: str, rows: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
-        """Return single rows of a small file, which is mapped into memory, by their numbers, of any shape."""
+        """Return rows of a small file, which is mapped into memory, by an array of their numbers."""
         if name not in self._mapped:
             mapped = np.memmap(self.folder / name, ROWS[name].base, "r")
             self._mapped[name] = np.asarray(mapped).reshape(-1, *ROWS[name].shape)
@@ -119,7 +119,7 @@ class UnpackedClips:
 
 
 def unpacked(digest: str, write: Callable[[ClipWriter], None]) -> UnpackedClips:
-    """Return the clips of this digest: unpacked by `write` where they are not in the cache, which is one step.
+    """Return the clips of this digest; `write` unpacks them, in one step, if they are not in the cache.
 
     Raises:
         FullDisk: There is no room for them in the cache.
@@ -131,7 +131,7 @@ def unpacked(digest: str, write: Callable[[ClipWriter], None]) -> UnpackedClips:
             with closing(ClipWriter(staging.path)) as writer:
                 write(writer)
             staging.take_place(folder)
-    with suppress(OSError):  # a cache that only its owner may write to
+    with suppress(OSError):  # in a read-only cache
         os.utime(folder)
     return UnpackedClips(folder)
 

@@ -1,4 +1,4 @@
-"""Verifies the contents of a store against its manifests: every file is digested again."""
+"""Verifies the contents of a store against its manifests, by digesting every file again."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ProblemKind(Enum):
 
 @dataclass(frozen=True)
 class Problem:
-    """Something in the store that is not as a manifest, or a dataset, says."""
+    """A contradiction between the store and a manifest or dataset."""
 
     kind: ProblemKind
     stage: str
@@ -53,12 +53,12 @@ class Verification:
 
     @property
     def is_ok(self) -> bool:
-        """Tell whether nothing is wrong."""
+        """Return whether nothing is wrong."""
         return not self.problems
 
 
 def verify(store: Store) -> Verification:
-    """Verify a store: digest its files again, find the artifacts of its datasets, and read the records of its runs.
+    """Verify a store: digest its files, find the artifacts of its datasets, and read the records of its runs.
 
     Raises:
         NewerSchema: The store was written by a newer program.
@@ -147,7 +147,7 @@ def _check_dataset(store: Store, dataset: Dataset, needed: Sequence[LineageStep]
 
 
 def _outdated(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> Iterator[str]:
-    """Say which release reads tables of a dataset whose columns are not those of this one."""
+    """Yield notes on tables of a dataset with other columns, with the release that reads them."""
     releases: dict[str, set[str]] = {}
     for manifest in filter(None, (step.manifest for step in needed)):
         for table in store.outdated_tables(manifest):
@@ -158,7 +158,7 @@ def _outdated(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> 
 
 
 def _check_records(store: Store) -> Iterator[Problem]:
-    """Read what runs have left, which says what was done and why something is stale; results do not depend on it."""
+    """Check the records of runs, which explain what was done and why something is stale; no result depends on them."""
     for path in sorted((store.root / "runs").glob("*/*.json")):
         try:
             values = json.loads(path.read_bytes())
@@ -167,7 +167,7 @@ def _check_records(store: Store) -> Iterator[Problem]:
             if path.parent.name == "latest":
                 read_latest(store, path.stem)
         except OlderSchema:
-            continue  # the next run of its study writes it anew
+            continue  # the next run of its study replaces it
         except (OSError, ValueError, TypeError, CorruptArtifact) as error:
             advice = "a run of its study writes it anew" if path.parent.name == "latest" else "it can be removed"
             detail = f"this record of a run cannot be read ({error.__cause__ or error}); {advice}"
@@ -175,7 +175,7 @@ def _check_records(store: Store) -> Iterator[Problem]:
 
 
 def _check_reports(store: Store) -> Iterator[Problem]:
-    """Compare the copies of reports in the folders of runs with the artifacts that each run names."""
+    """Compare the copies of reports in the folders of runs with the artifacts of each run."""
     advice = "where that folder is removed, the next run of the study copies its report again"
     for folder in list_runs(store):
         for path, entries in _copied(store, folder.path).items():
@@ -197,7 +197,7 @@ def _check_reports(store: Store) -> Iterator[Problem]:
 
 
 def _digest(path: Path) -> str | None:
-    """Return the sha256 of a file; None where it is not there or cannot be read."""
+    """Return the sha256 of a file; None if it is missing or cannot be read."""
     try:
         return file_sha256(path)
     except OSError:
@@ -205,7 +205,7 @@ def _digest(path: Path) -> str | None:
 
 
 def _copied(store: Store, run: Path) -> dict[Path, list[FileEntry]]:
-    """Return the files of a run's report, each with those that it may be a copy of; none where that is not known."""
+    """Return the files of a run's report, each with its possible originals; none if these are unknown."""
     copied: dict[Path, list[FileEntry]] = {}
     if not (run / "report").is_dir():
         return copied
@@ -217,7 +217,7 @@ def _copied(store: Store, run: Path) -> dict[Path, list[FileEntry]]:
             for shard in entry["artifacts"]
         ]
     except (OSError, ValueError, KeyError, TypeError, StorageError):
-        return copied  # the record itself is looked at elsewhere
+        return copied  # the record itself is checked elsewhere
     for ref in refs:
         manifest = store.find(ref.stage, ref.key)
         if manifest is None or manifest.ref != ref:

@@ -228,7 +228,7 @@ class Build:
         work.early[early] = len(self._made)
         if not early.each:
             del work.early[early]
-        there = [one for other in above for one in other.made or ()]
+        there = [manifest for other in above for manifest in other.made or ()]
         held = {table: tuple(manifest for manifest in there if table in manifest.tables) for table in early.reads}
         held |= {table: tuple(manifest for manifest in new if table in manifest.tables) for table in early.each}
         with suppress(InputError):  # reported when the stage is planned
@@ -282,12 +282,11 @@ class Build:
         if len(errors) == 1:
             raise next(iter(errors.values()))
         if errors:
-            raise joined(
-                [
-                    one if isinstance(one, ShardError) else ShardError(f"stage {name}", type(one).__name__, str(one))
-                    for name, one in errors.items()
-                ]
-            )
+            raise joined([_as_shard_error(name, error) for name, error in errors.items()])
+
+
+def _as_shard_error(stage: str, error: ShardError | InputError) -> ShardError:
+    return error if isinstance(error, ShardError) else ShardError(f"stage {stage}", type(error).__name__, str(error))
 
 
 def by_urgency(graph: Graph) -> list[str]:

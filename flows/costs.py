@@ -132,7 +132,7 @@ def _add_stage(
         if place in planned:
             reads = [(name, *places[key]) for key in planned[place].after if key in places]
         else:
-            reads = [(ref.stage, one.partition, one.name) for ref in before[place].inputs if (one := had.get(ref))]
+            reads = [(ref.stage, read.partition, read.name) for ref in before[place].inputs if (read := had.get(ref))]
         seconds, *spent = took.get(place, means)
         job = Job(seconds, (*waits, *(numbers[at] for at in reads if at in numbers)))
         numbers[name, *place] = work.add(job, *spent, is_measured=place in took)

@@ -145,7 +145,8 @@ class Comparison:
             "only_in_one": [" ".join(place) for place in self.only_one],
             "first_beyond_rounding": None if self.beyond is None else " ".join(self.beyond),
             "differing": {
-                " ".join(place): [str(difference) for difference in found] for place, found in self.differing.items()
+                " ".join(place): [str(difference) for difference in differences]
+                for place, differences in self.differing.items()
             },
         }
 
@@ -157,7 +158,7 @@ class Comparison:
         if first is not None:
             lines.append(f"first {'beyond rounding' if self.beyond else 'that differs'}: {' '.join(first)}")
             lines += [
-                f"    {one}" for one in sorted(self.differing[first], key=lambda difference: -difference.excess)[:5]
+                f"    {worst}" for worst in sorted(self.differing[first], key=lambda difference: -difference.excess)[:5]
             ]
         return lines
 
@@ -175,13 +176,13 @@ def compare(
     """
     both = [place for place in first if place in other]
     compared = {place: compare_artifacts(one_store, first[place], other_store, other[place]) for place in both}
-    differing = {place: found for place, found in compared.items() if found}
+    differing = {place: differences for place, differences in compared.items() if differences}
     beyond, is_rounded = None, False
-    for place, found in differing.items():
-        is_rounded = is_rounded or any(not difference.is_attachment for difference in found)
+    for place, differences in differing.items():
+        is_rounded = is_rounded or any(not difference.is_attachment for difference in differences)
         if any(
             difference.is_beyond and (difference.is_missing or not (is_rounded and difference.is_attachment))
-            for difference in found
+            for difference in differences
         ):
             beyond = place
             break

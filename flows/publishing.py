@@ -73,9 +73,9 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
     required = product_verdicts(manifests) if settings.required is None else settings.required
     nothing = f"there is no such verdict; verdicts: {', '.join(verdicts)}"
     failures = tuple(
-        f"{one}: {verdict_words(verdicts.get(one)) or nothing}"
-        for one in required
-        if one not in verdicts or verdicts[one].level is Level.FAIL
+        f"{verdict_name}: {verdict_words(verdicts.get(verdict_name)) or nothing}"
+        for verdict_name in required
+        if verdict_name not in verdicts or verdicts[verdict_name].level is Level.FAIL
     )
     if failures:
         words = f"{name} is not published: {len(failures)} of {len(required)} required verdicts fail"

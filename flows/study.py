@@ -274,7 +274,7 @@ def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple
     for step in location:
         inner = [m for m in models if str(step) in m.model_fields]
         if inner:
-            models = [found for m in inner for _, found in models_in(m.model_fields[str(step)].annotation)]
+            models = [inner_model for m in inner for _, inner_model in models_in(m.model_fields[str(step)].annotation)]
     return tuple(dict.fromkeys(name for m in models for name in m.model_fields))
 
 

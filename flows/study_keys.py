@@ -71,8 +71,8 @@ def _keys_of(model: type[BaseModel], path: str, told: dict[type[BaseModel], str]
             unit=_unit(name, field.description or ""),
             meaning=field.description or "",
         )
-        for deeper, found in models_in(field.annotation, place):
-            yield from _keys_of(found, deeper, told)
+        for deeper, inner_model in models_in(field.annotation, place):
+            yield from _keys_of(inner_model, deeper, told)
     for first, names in again.items():
         yield StudyKey(
             f"{path}.*", f"as {first}.*", None, is_needed=False, unit="", meaning=f"The same keys: {', '.join(names)}"

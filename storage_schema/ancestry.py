@@ -48,7 +48,7 @@ def walk(
     while waiting:
         new = {ref.identity: ref for ref in waiting if ref.identity not in seen and ref.place not in known}
         seen |= new.keys()
-        steps = [LineageStep(*one) for one in zip(new.values(), [depth] * len(new), read([*new.values()]), strict=True)]
+        steps = [LineageStep(*row) for row in zip(new.values(), [depth] * len(new), read([*new.values()]), strict=True)]
         yield from steps
         depth, waiting = depth + 1, sorted(ref for step in steps if step.manifest for ref in step.manifest.inputs)
 

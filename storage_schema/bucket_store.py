@@ -305,8 +305,8 @@ class BucketStore(Store):
             if (place := RECORD_PLACE.fullmatch(entry["path"]))
         }
         wanted = {**manifests, **records}
-        new = [one for one in wanted.items() if not _is_same(*one)]
-        self.remote.at_once(lambda one: self._bring_file(*one), new)
+        new = [place for place in wanted.items() if not _is_same(*place)]
+        self.remote.at_once(lambda place: self._bring_file(*place), new)
         here = [*self.root.glob(f"*/??/*/{MANIFEST_NAME}")]
         here += [path for path in (self.root / "runs").rglob("*") if path.is_file()]
         for path in here:

@@ -64,7 +64,7 @@ def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
 
     Where a source has another name there than it had, all that the dataset says: its own may be among them.
     """
-    datasets = sorted(datasets_with(store, source.ref), key=lambda one: one.created_at)
+    datasets = sorted(datasets_with(store, source.ref), key=lambda dataset: dataset.created_at)
     if not datasets:
         return source.sources
     names = {credit.name for credit in source.sources}

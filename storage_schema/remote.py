@@ -91,7 +91,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 
     with in_use(store):  # until the list is written, nothing needs the new artifacts
         manifests = _closure(remote, dataset.refs, manifest_of)
-        num_new = sum(remote.at_once(lambda one: _pull_artifact(remote, one, store, is_old=is_old), manifests))
+        num_new = sum(remote.at_once(lambda new: _pull_artifact(remote, new, store, is_old=is_old), manifests))
         if known is None:
             add_dataset(store, dataset, attachments)
     return dataset, num_new

@@ -415,7 +415,7 @@ class Store:
         if present.ref.content_digest == ref.content_digest:
             if not replaces or not is_valid:
                 return is_valid
-            has_same_keys = [one.key for one in present.inputs] == [one.key for one in new.inputs]
+            has_same_keys = [ref.key for ref in present.inputs] == [ref.key for ref in new.inputs]
             is_as_described = present.computed_digest == ref.content_digest
             return has_same_keys and is_as_described and (are_files_new or not self.damaged_files(present))
         if is_valid and not replaces:

@@ -103,7 +103,7 @@ def verify(store: Store) -> Verification:
             problems.append(Problem(ProblemKind.UNREADABLE, "datasets", label, DATASET_FILE, str(error)))
         else:
             needed = list(walk_stored(store, dataset.refs))
-            problems.extend(_check_dataset(store, dataset, [one for one in needed if one.ref.place not in older]))
+            problems.extend(_check_dataset(store, dataset, [step for step in needed if step.ref.place not in older]))
             notes.extend(_outdated(store, dataset, needed))
     problems.extend(_check_records(store))
     problems.extend(_check_reports(store))

@@ -95,14 +95,14 @@ def check(
             sourced = [(motion, source_of(motion.name, originals)) for motion, _ in pairs]
             pairs = [pair for pair in sourced if pair[1] is not None]
             checked += unread + [_without_source(motion, originals) for motion, its in sourced if its is None]
-        checked += [replace(one, reason=in_options(one.reason)) for one in run(check_motion, pairs)]
-        checked.sort(key=lambda one: (-one.verdict.level.rank, one.name))
+        checked += [replace(pair, reason=in_options(pair.reason)) for pair in run(check_motion, pairs)]
+        checked.sort(key=lambda motion: (-motion.verdict.level.rank, motion.name))
         files = {motion.name: (motion, its) for motion, its in pairs}
-        worst = [one for one in checked if one.name in files and one.figures][:_NUM_SHOWN]
-        pictures = run(picture_of, [(*files[one.name], one) for one in worst])
+        worst = [motion for motion in checked if motion.name in files and motion.figures][:_NUM_SHOWN]
+        pictures = run(picture_of, [(*files[motion.name], motion) for motion in worst])
     write_text(page, _page(checked, pictures))
-    answer([_as_json(one) for one in checked], [*_lines(checked), f"page: {page}"], as_json=as_json)
-    levels = {one.level for one in checked}
+    answer([_as_json(motion) for motion in checked], [*_lines(checked), f"page: {page}"], as_json=as_json)
+    levels = {motion.level for motion in checked}
     if UNREADABLE in levels:
         raise typer.Exit(2)
     if fail_on is not None and levels & {Level.FAIL, fail_on}:
@@ -128,8 +128,8 @@ def _pool(workers: int | None) -> Iterator[Run]:
             listener.note(f"{len(rows)} to look at")
             step = Steps(listener, len(rows))
             try:
-                for one in pool.map(work, *zip(*rows, strict=True), chunksize=4):
-                    done.append(one)
+                for result in pool.map(work, *zip(*rows, strict=True), chunksize=4):
+                    done.append(result)
                     step()
             finally:
                 listener.close()
@@ -155,7 +155,7 @@ def _find(
 
 
 def _without_source(motion: MotionFiles, sources: Sequence[MotionFiles]) -> Checked:
-    names = ", ".join(one.name for one in sources[:5]) + ", ..." * (len(sources) > 5)
+    names = ", ".join(other.name for other in sources[:5]) + ", ..." * (len(sources) > 5)
     why = f"no source has a name that this begins with; sources: {names}"
     return Checked(motion.name, motion.files, UNREADABLE, why)
 
@@ -166,7 +166,7 @@ def _as_json(pair: Checked) -> dict[str, Any]:
 
 def _lines(checked: Sequence[Checked]) -> list[str]:
     """Return the table for a terminal, the worst first, and the number of motions at each level."""
-    rows = [(one.level, one.name, *_cells(one, _TOUCH).values(), one.reason) for one in checked[:_MAX_ROWS]]
+    rows = [(pair.level, pair.name, *_cells(pair, _TOUCH).values(), pair.reason) for pair in checked[:_MAX_ROWS]]
     lines = format_table(("verdict", "name", *_TOUCH, "why"), rows, text_columns=(0, 1, len(_TOUCH) + 2))
     if len(checked) > _MAX_ROWS:
         lines.append(f"and {len(checked) - _MAX_ROWS} more, all of them on the page")
@@ -174,7 +174,7 @@ def _lines(checked: Sequence[Checked]) -> list[str]:
 
 
 def _counted(checked: Sequence[Checked]) -> str:
-    levels = [one.level for one in checked]
+    levels = [motion.level for motion in checked]
     each = (f"{levels.count(level)} {level}" for level in (UNREADABLE, "fail", "warn", "pass") if level in levels)
     return f"{counted(len(checked), 'motion')}: {', '.join(each)}"
 
@@ -199,12 +199,12 @@ def _cells(checked: Checked, columns: Mapping[str, Figure]) -> dict[str, str]:
 
 def _page(checked: Sequence[Checked], pictures: Sequence[Picture]) -> str:
     tables = [
-        _table("Verdicts and contacts", checked, _TOUCH, {"why": lambda one: one.reason}),
-        _table("How files were read", checked, _READ, {"files": lambda one: ", ".join(dict.fromkeys(one.files))}),
+        _table("Verdicts and contacts", checked, _TOUCH, {"why": lambda motion: motion.reason}),
+        _table("How files were read", checked, _READ, {"files": lambda motion: ", ".join(dict.fromkeys(motion.files))}),
         _table("Capture, the worse of both people", checked, _CAPTURE),
-        _table("Against the source", [one for one in checked if "source" in one.figures], _AGAINST),
+        _table("Against the source", [motion for motion in checked if "source" in motion.figures], _AGAINST),
     ]
-    bad = {one.name: one.verdict for one in checked if one.verdict.level is not Level.PASS}
+    bad = {motion.name: motion.verdict for motion in checked if motion.verdict.level is not Level.PASS}
     return render(
         "check.html", title="Check of motions", said=_counted(checked), bad=bad, pictures=pictures, tables=tables
     )
@@ -218,14 +218,15 @@ def _table(
 ) -> TextTable:
     more = more or {}
     rows = (
-        (one.name, one.level, *_cells(one, columns).values(), *(tell(one) for tell in more.values())) for one in checked
+        (motion.name, motion.level, *_cells(motion, columns).values(), *(tell(motion) for tell in more.values()))
+        for motion in checked
     )
     return TextTable(caption, ("name", "verdict", *columns, *more), tuple(rows))
 
 
 def _columns(figures: Mapping[str, Figure], *, all_of_them: bool = False) -> dict[str, Figure]:
     """Return figures by their column headings, by default only those with limits."""
-    return {one.words: one for name, one in figures.items() if all_of_them or one.limits is not None}
+    return {figure.words: figure for name, figure in figures.items() if all_of_them or figure.limits is not None}
 
 
 _TOUCH = {"seconds": Figure("duration_s", "s", "")} | _columns(TOUCH, all_of_them=True)

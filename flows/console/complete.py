@@ -64,10 +64,10 @@ def complete(
     target = out or file.with_name(f"{file.stem}_completed.json")
     target.write_text(write_pair_json(whole), encoding="utf-8")
     spread = np.linalg.norm(completion.neighbours.pairs_m - np.median(completion.neighbours.pairs_m, axis=0), axis=-1)
-    for name, own, apart in zip("AB", is_known, np.moveaxis(spread, 1, 0), strict=True):
-        if not own.all():
-            far_cm = 100.0 * float(np.median(apart[:, ~own]))
-            echo(f"person {name}: {counted(int((~own).sum()), 'joint')} completed, {far_cm:.1f} cm uncertain (median)")
+    for name, mask, apart in zip("AB", is_known, np.moveaxis(spread, 1, 0), strict=True):
+        if not mask.all():
+            far_cm = 100.0 * float(np.median(apart[:, ~mask]))
+            echo(f"person {name}: {counted(int((~mask).sum()), 'joint')} completed, {far_cm:.1f} cm uncertain (median)")
     near_m = completion.neighbours.distance_m
     echo(f"{len(near_m)} of {counted(len(known.pairs_m), 'draw')} within {100 * near_m.max():.1f} cm (D_I)")
     echo(f"written: {target}")

@@ -59,14 +59,14 @@ def create(
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
     today = (list(refs), source_credits(opened, *refs))
-    stated = [one for ref in refs for one in opened.manifest(ref).parameters.get("sources", ())]
+    stated = [source for ref in refs for source in opened.manifest(ref).parameters.get("sources", ())]
     if gone := [source for source in stated if SourceCredit(**source) not in today[1]]:
         raise PlanError(
             f"the report of study '{study}' says {gone[0]['name']}: {gone[0]['licence']}, which is no longer so; "
             "run the study to its end first"
         )
     versions = [version for version in list_datasets(opened, name) if version.name == name]
-    same = [one for one in versions if (list(one.refs), one.sources) == today]
+    same = [dataset for dataset in versions if (list(dataset.refs), dataset.sources) == today]
     if same and version is None:
         dataset, words = same[-1], "exists already with this content"
     else:
@@ -91,7 +91,7 @@ def show_all(store: options.Store = Path("store"), as_json: options.Json = False
         for label in dataset_labels(opened)
         if label not in labels
     ]
-    answer([_describe(one) for one in datasets], lines or [f"store {store}: no datasets yet"], as_json=as_json)
+    answer([_describe(dataset) for dataset in datasets], lines or [f"store {store}: no datasets yet"], as_json=as_json)
 
 
 _LabelArgument = Annotated[str, Argument(metavar="NAME@V", help="Version of a dataset, or a name: the newest.")]
@@ -162,7 +162,7 @@ def write(
         dataset = open_dataset(opened, label)
         written = write_folder(opened, dataset, out, since=since, withheld=withhold or ())
     files = written.manifest.files
-    size = f"{counted(len(files), 'file')}, {sum(one.bytes for one in files.values()) / 1e6:,.1f} MB"
+    size = f"{counted(len(files), 'file')}, {sum(file.bytes for file in files.values()) / 1e6:,.1f} MB"
     new = f"{counted(len(written.new), 'data file')} of them new" if written.new else "no data file of them new"
     described = {"name": dataset.name, "version": dataset.version, "folder": str(out), "new": written.new}
     answer(

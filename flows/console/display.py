@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from flows.console.context import echo, wrapped
@@ -207,12 +208,12 @@ def headlines(store: Store, study: str, seen: Iterable[Manifest] = ()) -> list[s
     """Return what the last run of a study built and how much is good, as at the top of the report and the card."""
     last = read_last_run(store, study)
     by_stage = {} if last is None else last_manifests(store, last, seen)
-    return summary_of([one for manifests in by_stage.values() for one in manifests]).headlines() if by_stage else []
+    return summary_of([*chain(*by_stage.values())]).headlines() if by_stage else []
 
 
 def manifest_lines(stages: Mapping[str, Sequence[Manifest]]) -> list[str]:
     """Return the verdicts on artifacts by stage as lines."""
-    return summary_of([manifest for manifests in stages.values() for manifest in manifests]).lines() if stages else []
+    return summary_of([*chain(*stages.values())]).lines() if stages else []
 
 
 def progress_text(progress: Progress) -> str:

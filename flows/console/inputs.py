@@ -150,7 +150,7 @@ def find_model(text: str, store_root: Path) -> Weights:
     candidates = [manifest for manifest in models if ModelFacts.of(manifest).model == name]
     if len(candidates) != 1:
         named = [(ModelFacts.of(manifest), manifest.ref.key[:12]) for manifest in candidates or models]
-        there = [f"{one.model}@models@{key} ({one.split})" for one, key in named]
+        there = [f"{facts.model}@models@{key} ({facts.split})" for facts, key in named]
         which = (
             f"say which: {', '.join(there[:12])}" if there else "the store has none; the stage `training` makes models"
         )

@@ -60,7 +60,7 @@ def plan(
     if cost and not made.is_fresh:
         work = planned_work(made, graph, open_store(store), open_store(measured or store))
         costs = [estimate_cost(work, count) for count in workers or NUMBERS_OF_WORKERS]
-        described = {"work": work.to_json(), "costs": [asdict(one) for one in costs]}
+        described = {"work": work.to_json(), "costs": [asdict(estimate) for estimate in costs]}
         answer(described, cost_lines(work, costs), as_json=as_json)
         return
     answer({**made.to_json(), "settings": chosen.resolved()}, plan_lines(made), as_json=as_json)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -202,7 +202,7 @@ class _Wanted:
     calibration: Calibration
     person_ids: Sequence[int]
     statures: Sequence[str]
-    named_m: Mapping[int, float]
+    named_m: dict[int, float]
     has_clean_up: bool
     out: Path
     units: str

@@ -69,7 +69,7 @@ def show(
         f"{described['table']}: {described['meaning']}",
         f"{counted(described['num_rows'], 'row')} in {counted(len(described['artifacts']), 'artifact')}",
     ]
-    sources = [f"  source {one['name']}: {one['licence']}; {one['credit']}" for one in described["sources"]]
+    sources = [f"  source {source['name']}: {source['licence']}; {source['credit']}" for source in described["sources"]]
     answer(described, chain(heading, lines, sources), as_json=as_json)
 
 

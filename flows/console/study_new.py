@@ -188,7 +188,7 @@ def _read_video(path: Path, base: Path) -> _Video:
         format=formats.pop() if len(formats) == 1 else "auto",
         note=visible("; ".join(source.in_words() for source in sources), is_line=True),
         num_persons=max(people.values(), default=0),
-        is_moving=any(not why_no_video(np.array(own)) for own in numbers.values()),
+        is_moving=any(not why_no_video(np.array(frames)) for frames in numbers.values()),
     )
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -92,52 +93,54 @@ def find_contents(
     names = {source.name for source in dataset.sources}
     if unknown := sorted(set(withheld) - names):
         raise PlanError(f"{dataset.label} has no source '{unknown[0]}'; its sources are {', '.join(sorted(names))}")
-    staying = [one for one in dataset.sources if one.name in withheld or _FORBIDS.search(one.licence)]
+    staying = [source for source in dataset.sources if source.name in withheld or _FORBIDS.search(source.licence)]
     steps = lineage(store, *dataset.refs)
     every = {step.ref: store.manifest(step.ref) for step in steps}  # the same content under two keys is written once
     choices = recorded_choices(dataset.path)
     tables = {about.partition(" ")[0] for about in choices}
     rejected = {table: _rejected(store, every.values(), table, rejections(choices, table)) for table in tables}
-    forbidden = {one.name for one in staying}
+    forbidden = {source.name for source in staying}
     roots = {
         ref
-        for ref, one in every.items()
-        if not forbidden.isdisjoint(source.name for source in one.sources) or _is_rejected(one, rejected)
+        for ref, manifest in every.items()
+        if not forbidden.isdisjoint(source.name for source in manifest.sources) or _is_rejected(manifest, rejected)
     }
     out = _with_descendants(roots, every)
-    failed = {ref for ref, one in every.items() if one.facts.get("kind") == "take" and one.facts.get("skipped")}
-    trimmed = {table: found for table, found in rejected.items() if found}
+    failed = {
+        ref for ref, manifest in every.items() if manifest.facts.get("kind") == "take" and manifest.facts.get("skipped")
+    }
+    trimmed = {table: names for table, names in rejected.items() if names}
     if out or failed or trimmed:
         out |= failed | {ref for ref in every if ref.stage == "evaluation"}
-    kept = sorted(
-        (one for ref, one in every.items() if ref not in out), key=lambda one: (one.ref.stage, one.partition, one.name)
-    )
-    is_held = {TakeFacts.of(one).take_id: TakeFacts.of(one).is_held_out for one in kept if _is_take(one)}
-    sides = take_sides(dict(sorted(is_held.items())), known=known)
+    left = [manifest for ref, manifest in every.items() if ref not in out]
+    kept = sorted(left, key=attrgetter("ref.stage", "partition", "name"))
+    takes = [TakeFacts.of(manifest) for manifest in kept if _is_take(manifest)]
+    sides = take_sides(dict(sorted({take.take_id: take.is_held_out for take in takes}.items())), known=known)
     tested = {(stage, digest) for stage, _, digest in held_out(store, dataset.refs)}
     manifests: list[Manifest] = []
     groups: list[Group] = []
-    for one in kept:
-        split = _side_of(one, sides, is_held_out=(one.ref.stage, one.ref.content_digest) in tested)
-        rows = _kept_rows(store, one, rejected)
-        if any(part.rows for part in one.tables.values()) and not any(rows.values()):
+    for manifest in kept:
+        split = _side_of(manifest, sides, is_held_out=(manifest.ref.stage, manifest.ref.content_digest) in tested)
+        rows = _kept_rows(store, manifest, rejected)
+        if any(part.rows for part in manifest.tables.values()) and not any(rows.values()):
             continue  # all its rows were rejected
-        manifests.append(_as_it_leaves(store, one, rows, rejected))
-        groups += [group for table in rows for group in _groups(store, one, table, rows[table], split)]
+        manifests.append(_as_it_leaves(store, manifest, rows, rejected))
+        groups += [group for table in rows for group in _groups(store, manifest, table, rows[table], split)]
     if not groups:
-        reasons = "; ".join(f"{one.name} (licence: {one.licence})" for one in staying) or "everything is rejected"
+        reasons = "; ".join(f"{source.name} (licence: {source.licence})" for source in staying)
         raise PlanError(
-            f"nothing of {dataset.label} may leave: {reasons}; a source has `licence` and `credit` in its study"
+            f"nothing of {dataset.label} may leave: {reasons or 'everything is rejected'}; a source has `licence` "
+            "and `credit` in its study"
         )
-    there = {one.ref: one.ref for one in manifests}
+    there = {manifest.ref: manifest.ref for manifest in manifests}
     refs = tuple(there[ref] for ref in dict.fromkeys(dataset.refs) if ref in there)
-    sources = tuple(one for one in dataset.sources if one not in staying)
-    words = [f"Source {one.name} stays, its licence: {one.licence}." for one in staying]
+    sources = tuple(source for source in dataset.sources if source not in staying)
+    words = [f"Source {source.name} stays, its licence: {source.licence}." for source in staying]
     words += [f"Takes whose capture fails: {len(failed)}."] if failed else []
-    words += [f"Rejected by a person, of {table}: {len(found)}." for table, found in sorted(trimmed.items())]
+    words += [f"Rejected by a person, of {table}: {len(names)}." for table, names in sorted(trimmed.items())]
     words += [f"Artifacts that stay for that: {counted(len(every) - len(there), 'artifact')}."] if words else []
-    left = replace(dataset, refs=refs, sources=sources, digest=digest_of(refs, sources))
-    return Contents(left, tuple(manifests), tuple(groups), sides, tuple(words))
+    shared = replace(dataset, refs=refs, sources=sources, digest=digest_of(refs, sources))
+    return Contents(shared, tuple(manifests), tuple(groups), sides, tuple(words))
 
 
 def cut(batches: Iterable[Any], groups: Sequence[Group]) -> Iterator[Any]:
@@ -163,7 +166,7 @@ def _is_take(manifest: Manifest) -> bool:
 def _rejected(store: Store, manifests: Iterable[Manifest], table: str, named: Mapping[str, str]) -> Collection[str]:
     """Return the rejected names of a table whose content is unchanged."""
     columns = content_columns(table)
-    parts = (one.ref for one in manifests if table in one.tables)
+    parts = (manifest.ref for manifest in manifests if table in manifest.tables)
     return rejected_names(named, (rows for ref in parts for rows in store.iter_batches(ref, table, columns=columns)))
 
 
@@ -181,7 +184,7 @@ def _with_descendants(roots: set[ArtifactRef], every: Mapping[ArtifactRef, Manif
     descendants, before = set(roots), -1
     while len(descendants) != before:
         before = len(descendants)
-        descendants |= {ref for ref, one in every.items() if not descendants.isdisjoint(one.inputs)}
+        descendants |= {ref for ref, manifest in every.items() if not descendants.isdisjoint(manifest.inputs)}
     return descendants
 
 
@@ -233,9 +236,9 @@ def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: S
     each = part.bytes / max(part.rows, 1)
     if table == "variants":
         names = _variant_ids(store, manifest)
-        for own in rows:
-            size = own[1] - own[0]
-            yield Group(table, split, manifest.ref, (own,), each * size, names[own[0] // size])
+        for variant in rows:
+            size = variant[1] - variant[0]
+            yield Group(table, split, manifest.ref, (variant,), each * size, names[variant[0] // size])
         return
     clip = TakeFacts.of(manifest).take_id if table == "poses" else ""
     most = part.rows if clip else ROW_GROUP_ROWS
@@ -268,7 +271,7 @@ def _as_it_leaves(
 def _without(value: Any, names: Collection[str]) -> Any:
     """Return JSON values without these names in lists and among keys."""
     if isinstance(value, Mapping):
-        return {name: _without(one, names) for name, one in value.items() if name not in names}
+        return {name: _without(item, names) for name, item in value.items() if name not in names}
     if isinstance(value, list | tuple):
-        return [_without(one, names) for one in value if not isinstance(one, str) or one not in names]
+        return [_without(item, names) for item in value if not isinstance(item, str) or item not in names]
     return value

@@ -72,7 +72,7 @@ def describe(
         "stats.json": json_file(stats),
         SPLITS_FILE: json_file(splits),
         "skeletons.json": json_file(
-            {name: {"joint_names": one.joint_names, "parents": one.parents} for name, one in WORKING_SKELETONS.items()}
+            {name: {"joint_names": s.joint_names, "parents": s.parents} for name, s in WORKING_SKELETONS.items()}
         ),
         "croissant.json": json_file(croissant(dataset, what, files)),
         "README.md": _card(contents, files, what, splits, clips).encode(),
@@ -83,11 +83,11 @@ def describe(
     for name, data in texts.items():
         make_folder((folder / name).parent)
         write_file(folder / name, data)
-    for one in contents.manifests:
-        for name, entry in one.attachments.items():
-            target = folder / attachment_name(one, name)
+    for manifest in contents.manifests:
+        for name, entry in manifest.attachments.items():
+            target = folder / attachment_name(manifest, name)
             make_folder(target.parent)
-            shutil.copyfile(store.data_file(one.ref, name, entry), target)
+            shutil.copyfile(store.data_file(manifest.ref, name, entry), target)
     write_credits(dataset.sources, dataset.refs, dataset.label, folder)
 
 
@@ -103,8 +103,8 @@ def _splits(contents: Contents, clips: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "by": "take",
         "takes": {name: asdict(side) for name, side in contents.sides.items()},
-        "num_clips": {split: len(found) for split, found in by_split.items()},
-        "num_frames": {split: sum(clip["num_frames"] for clip in found) for split, found in by_split.items()},
+        "num_clips": {split: len(in_split) for split, in_split in by_split.items()},
+        "num_frames": {split: sum(clip["num_frames"] for clip in in_split) for split, in_split in by_split.items()},
     }
 
 
@@ -122,7 +122,7 @@ def _card(
         tables.setdefault(name.split("/")[1], {}).setdefault(Path(name).name.split("-")[0], []).append(file)
     default = next(name for name in ("variants", "poses", "clips", *tables) if name in tables)
     order = sorted(tables, key=lambda name: (name != default, name))
-    rows = {name: sum(file.rows for own in tables[name].values() for file in own) for name in order}
+    rows = {name: sum(file.rows for in_split in tables[name].values() for file in in_split) for name in order}
     licences = {source.licence for source in dataset.sources}
     known = next(iter(licences)).lower() if len(licences) == 1 else ""
     other = {"license_name": "see-licenses", "license_link": "CREDITS.txt"}
@@ -193,7 +193,7 @@ def _licences(dataset: Dataset) -> dict[str, bytes]:
     licences = {}
     for licence in dict.fromkeys(source.licence for source in dataset.sources):
         name = licence if re.fullmatch(r"[A-Za-z0-9.+-]{1,40}", licence) else f"LicenseRef-{_plain(licence)}"
-        of = "".join(f"{one.name}\n  {one.credit}\n" for one in dataset.sources if one.licence == licence)
+        of = "".join(f"{source.name}\n  {source.credit}\n" for source in dataset.sources if source.licence == licence)
         text = (_own_licence() if licence == "Apache-2.0" else "") or f"{licence}\n"
         licences[f"LICENSES/{name}.txt"] = f"{text}\nLicence of:\n\n{of}".encode()
     return licences
@@ -216,7 +216,7 @@ def _record(contents: Contents) -> dict[str, bytes]:
     dataset = contents.dataset
     files = portable_files(dataset.path)
     there = {name: files[name] for name in (STUDY_FILE, ENVIRONMENT_FILE) if name in files}
-    artifacts = {"artifacts": [json.loads(one.to_json()) for one in contents.manifests]}
+    artifacts = {"artifacts": [json.loads(manifest.to_json()) for manifest in contents.manifests]}
     return there | {DATASET_FILE: dataset.to_json(), ARTIFACTS_FILE: json_file(artifacts)}
 
 
@@ -226,14 +226,14 @@ def _lines(contents: Contents, what: str, clips: list[dict[str, Any]]) -> list[s
     return [
         what,
         "Verdicts: " + ", ".join(f"{verdict} {count:,}" for verdict, count in sorted(verdicts.items())) + ".",
-        *(f"From {one.name}: {one.licence}. {one.credit}" for one in contents.dataset.sources),
+        *(f"From {source.name}: {source.licence}. {source.credit}" for source in contents.dataset.sources),
         f"Some of the {len(clips):,} clips, evenly spread, each beside its take; contacts are green.",
     ]
 
 
 def _pictures(store: Store, contents: Contents, clips: list[dict[str, Any]]) -> list[Any]:
     """Return players of some variants, evenly spread, or of takes if there are no variants."""
-    takes = {TakeFacts.of(one).take_id: one for one in contents.with_table("poses")}
+    takes = {TakeFacts.of(manifest).take_id: manifest for manifest in contents.with_table("poses")}
     batches = {group.clip: group.ref for group in contents.groups if group.table == "variants"}
     pictures = []
     shown = [clip for clip in clips if clip["variant_id"] is not None] or clips  # with their takes

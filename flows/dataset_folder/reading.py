@@ -68,8 +68,8 @@ def read_folder(folder: Path, store: Store) -> tuple[Dataset, int]:
     known: dict[ArtifactRef, ArtifactRef] = {}
     num_new = 0
     with in_use(store):
-        for one in _in_order(artifacts):
-            known[one.ref], is_new = _bring(one, known, parts, folder, store)
+        for artifact in _in_order(artifacts):
+            known[artifact.ref], is_new = _bring(artifact, known, parts, folder, store)
             num_new += is_new
         refs = tuple(known[ref] for ref in listed.refs)
         dataset = replace(listed, refs=refs, digest=digest_of(refs, listed.sources), path=path)
@@ -92,7 +92,7 @@ def read_recorded_folder(folder: Path) -> Recorded:
     listed, files = read_record(folder)
     if missing := [name for name in (STUDY_FILE, ENVIRONMENT_FILE) if name not in files]:
         raise PlanError(f"{folder / RECORD / missing[0]} is not there, so the dataset cannot be built again")
-    artifacts = {(one.ref.stage, one.partition, one.name): one for one in _artifacts(folder)}
+    artifacts = {(artifact.ref.stage, artifact.partition, artifact.name): artifact for artifact in _artifacts(folder)}
     named = frozenset(ref.stage for ref in listed.refs)
     sections, environment = (json.loads(files[name]) for name in (STUDY_FILE, ENVIRONMENT_FILE))
     return Recorded(listed.label, sections, environment, artifacts, named, listed.sources)
@@ -111,7 +111,7 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
     order = {ref: at for at, ref in enumerate(listed.refs)}  # the plan may order stages differently
     refs = tuple(sorted(refs, key=lambda ref: order.get(ref, len(order))))
     names = {source.name for source in listed.sources}
-    sources = merge_credits(listed.sources, (one for one in source_credits(store, *refs) if one.name not in names))
+    sources = merge_credits(listed.sources, (new for new in source_credits(store, *refs) if new.name not in names))
     path = store.root / "datasets" / listed.label
     dataset = replace(listed, refs=refs, sources=sources, digest=digest_of(refs, sources), path=path)
     if not add_dataset(store, dataset, files) and open_dataset(store, dataset.label).digest != dataset.digest:
@@ -122,7 +122,7 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
             store, contents, plan_files(contents, manifest), staging.path / "again", withheld=manifest.withheld
         )
     every = {*manifest.files, *again.files}
-    if [one.ref for one in _artifacts(folder)] == [one.ref for one in contents.manifests]:
+    if [artifact.ref for artifact in _artifacts(folder)] == [manifest.ref for manifest in contents.manifests]:
         every -= {f"{RECORD}/{ARTIFACTS_FILE}"}  # the same content, from another program or machine
     return [name for name in sorted(every) if _sha256(manifest, name) != _sha256(again, name)]
 
@@ -171,14 +171,14 @@ def _read_group(folder: Path, table: str, place: _Place) -> Any:
 
 def _in_order(artifacts: list[Manifest]) -> Iterator[Manifest]:
     """Yield artifacts after their inputs."""
-    waiting = {one.ref: one for one in artifacts}
+    waiting = {artifact.ref: artifact for artifact in artifacts}
     while waiting:
-        ready = [one for one in waiting.values() if waiting.keys().isdisjoint(one.inputs)]
+        ready = [artifact for artifact in waiting.values() if waiting.keys().isdisjoint(artifact.inputs)]
         if not ready:
             raise CorruptArtifact("the artifacts of the folder were computed from each other in a circle")
         yield from ready
-        for one in ready:
-            del waiting[one.ref]
+        for artifact in ready:
+            del waiting[artifact.ref]
 
 
 def _parts_of(manifest: FolderManifest) -> dict[tuple[str, str, str], list[_Place]]:

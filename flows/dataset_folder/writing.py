@@ -105,7 +105,7 @@ def write_folder(
         raise PlanError(f"{out} has {there.label}; `--since {there.label}` updates it, --out names another folder")
     if there is None and out.is_dir() and any(out.iterdir()):
         raise PlanError(f"{out} is not empty and no folder of a dataset; --out names another one")
-    staying = set(withheld) | {one.name for one in dataset.sources if there and one.name in there.withheld}
+    staying = set(withheld) | {source.name for source in dataset.sources if there and source.name in there.withheld}
     with _alone(out), write_errors(out.parent):
         contents = find_contents(store, dataset, withheld=staying, known=read_sides(out) if there else None)
         if there is not None and (there.label, there.digest) == (dataset.label, contents.dataset.digest):
@@ -162,12 +162,12 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
         ]
         parts = [(name, [groups.pop(key) for key in keys]) for name, keys in kept]
         for group in groups.values():
-            if not parts or parts[-1][0] or sum(one.num_bytes for one in parts[-1][1]) >= FILE_BYTES:
+            if not parts or parts[-1][0] or sum(other.num_bytes for other in parts[-1][1]) >= FILE_BYTES:
                 parts.append(("", []))
             parts[-1][1].append(group)
         files += [
-            DataFile(f"{start}{number:05}-of-{len(parts):05}.parquet", tuple(own), name)
-            for number, (name, own) in enumerate(parts)
+            DataFile(f"{start}{number:05}-of-{len(parts):05}.parquet", tuple(in_file), name)
+            for number, (name, in_file) in enumerate(parts)
         ]
     return files
 
@@ -197,7 +197,7 @@ def fill(
         withheld: Names of sources that stay, for the record.
     """
     plan = [contents.dataset.label, contents.dataset.digest, SCHEMA_VERSION]
-    plan += [[file.name, file.before, [key_of(one) for one in file.groups]] for file in files]
+    plan += [[file.name, file.before, [key_of(group) for group in file.groups]] for file in files]
     digest = hashlib.sha256(canonical_json(plan)).hexdigest()
     begun = part / f"{digest}{_PART}"
     if not begun.is_file():
@@ -232,7 +232,7 @@ def fill(
             (part / file.name).stat().st_size,
             digests[file.name],
             pq.read_metadata(part / file.name).num_rows,
-            tuple(key_of(one) for one in file.groups),
+            tuple(key_of(group) for group in file.groups),
         )
         for file in files
     }
@@ -285,7 +285,7 @@ def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Ite
         return
     source, contact_rows, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts)
     count, table = len(contact_rows.frame), TABLES["variants"]
-    batches = (one.rows for one in store.iter_batches(ref, "variants", columns=["body22_m"]))
+    batches = (batch.rows for batch in store.iter_batches(ref, "variants", columns=["body22_m"]))
     for group, part in zip(groups, cut(batches, groups), strict=True):
         positions_m = TableData(table, part)["body22_m"].reshape(source.positions_m.shape)
         held = contact_rows.held_in(replace(source, positions_m=positions_m))
@@ -311,11 +311,11 @@ def _found_in(store: Store, take: ArtifactRef, stated: tuple[UserContact, ...]) 
 
 def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, FolderFile]:
     """Write the table of clips, and return its files."""
-    manifests = {one.ref: one for one in contents.manifests}
+    manifests = {manifest.ref: manifest for manifest in contents.manifests}
     rates = {take: len(np.unique(frames)) for take, frames, _ in _held_contacts(files, part)}
     rows: dict[str, list[dict[str, Any]]] = {}
     for file in files:
-        numbered = groupby(enumerate(file.groups), key=lambda one: one[1].ref) if file.table in _MOTIONS else ()
+        numbered = groupby(enumerate(file.groups), key=lambda item: item[1].ref) if file.table in _MOTIONS else ()
         for ref, groups in numbered:
             facts, bodies = PeopleFacts.of(manifests[ref]), _bodies_of(store, manifests[ref])
             for number, group in groups:
@@ -330,12 +330,12 @@ def _write_clips(store: Store, contents: Contents, files: Sequence[DataFile], pa
                 row["contact_rate"] = rates.get(row["take_id"], 0) / max(facts.num_frames, 1)
                 rows.setdefault(group.split, []).append(row)
     described = {}
-    for split, own in rows.items():
-        own.sort(key=lambda row: (row["take_id"], row["variant_id"] or ""))
+    for split, in_split in rows.items():
+        in_split.sort(key=lambda row: (row["take_id"], row["variant_id"] or ""))
         name = f"data/clips/{split}-00000-of-00001.parquet"
         make_folder((part / name).parent)
         writer = TableWriter(part / name, TABLES["clips"])
-        writer.append({column: [row[column] for row in own] for column in own[0]})
+        writer.append({column: [row[column] for row in in_split] for column in in_split[0]})
         table = writer.finish()
         described[name] = FolderFile(table.bytes, table.sha256, table.rows)
     return described
@@ -374,13 +374,13 @@ def _held_contacts(files: Sequence[DataFile], part: Path) -> Iterator[tuple[str,
             held = np.asarray(rows["is_held"])
             frame = np.tile(np.asarray(rows["frame"])[held], 2)
             bones = np.concatenate([rows["bone"][held], rows["partner_bone"][held]])
-            bone = np.array([names.get(one, -1) for one in bones], dtype=np.int64)
+            bone = np.array([names.get(name, -1) for name in bones], dtype=np.int64)
             yield str(rows["take_id"][0]), frame, bone
 
 
 def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> dict[str, Any]:
     """Return the content of `stats.json`: figures by split, table and column."""
-    manifests = {one.ref: one for one in contents.manifests}
+    manifests = {manifest.ref: manifest for manifest in contents.manifests}
     statistics: dict[str, Any] = {}
 
     def motions(motion_files: Sequence[DataFile]) -> Iterator[tuple[Any, float]]:
@@ -407,7 +407,7 @@ def _statistics(contents: Contents, files: Sequence[DataFile], part: Path) -> di
             held[take] = np.bincount(pairs[pairs >= 0], minlength=BODY22.num_joints).astype(np.float64)
         if touched:
             takes = [manifests[group.ref] for file in touched for group in file.groups if not group.rows]
-            num_frames = {TakeFacts.of(one).take_id: TakeFacts.of(one).num_frames for one in takes}
+            num_frames = {TakeFacts.of(manifest).take_id: TakeFacts.of(manifest).num_frames for manifest in takes}
             statistics[split]["poses"]["contact_rate"] = contact_figures(held, num_frames)
     return statistics
 

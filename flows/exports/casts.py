@@ -165,9 +165,9 @@ class Cast:
         if self.make_rigs is not None:
             return self.make_rigs(rest_pose)
         rigs = []
-        for one, height_m in zip(np.moveaxis(self.positions_m, 1, 0), self.statures_m.tolist(), strict=True):
-            motion = motion_from_positions(self.skeleton, one, self.rate_hz)
-            rigs.append(Rig(motion, height_m, one))
+        for person_m, height_m in zip(np.moveaxis(self.positions_m, 1, 0), self.statures_m.tolist(), strict=True):
+            motion = motion_from_positions(self.skeleton, person_m, self.rate_hz)
+            rigs.append(Rig(motion, height_m, person_m))
         return rigs
 
     def in_words(self) -> str:
@@ -285,10 +285,10 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     for (sequence_id, method), part, *clip in _kept_parts(rows, export.left_out):
         ids = np.unique(rows["person_id"][part]).tolist()
         people = []
-        for own in (part[rows["person_id"][part] == person_id] for person_id in ids):
-            body = body_from_joints(rows["body22_m"][own], rows["body22_unitquat"][own])
+        for of_person in (part[rows["person_id"][part] == person_id] for person_id in ids):
+            body = body_from_joints(rows["body22_m"][of_person], rows["body22_unitquat"][of_person])
             upright = body.turned(camera.camera_from_upright_rotmat.T)
-            people.append((int(rows["frame"][own[0]]), upright, rows["is_bridged"][own]))
+            people.append((int(rows["frame"][of_person[0]]), upright, rows["is_bridged"][of_person]))
         rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
         together = motions_together(people, rate_hz=rate_hz)
         motions = [humanoid_motion(person.motion) for person in together]
@@ -325,13 +325,13 @@ def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[An
     A single frame is no motion and is left out.
     """
     is_kept = np.isin(np.arange(rows.num_rows), rows_without(rows, left_out))
-    for key, own in groups(rows, "sequence_id", "method"):
-        frames = np.unique(rows["frame"][own[is_kept[own]]])
-        gone = np.setdiff1d(rows["frame"][own], frames)  # gaps without people are no cuts
+    for key, of_video in groups(rows, "sequence_id", "method"):
+        frames = np.unique(rows["frame"][of_video[is_kept[of_video]]])
+        gone = np.setdiff1d(rows["frame"][of_video], frames)  # gaps without people are no cuts
         parts = np.split(frames, np.flatnonzero(np.diff(np.searchsorted(gone, frames))) + 1)
-        for part in (one for one in parts if len(one) > 1):
-            is_part = is_kept[own] & np.isin(rows["frame"][own], part)
-            yield key, own[is_part], *([f"{part[0]}-{part[-1]}"] if len(parts) > 1 else [])
+        for part in (frames for frames in parts if len(frames) > 1):
+            is_part = is_kept[of_video] & np.isin(rows["frame"][of_video], part)
+            yield key, of_video[is_part], *([f"{part[0]}-{part[-1]}"] if len(parts) > 1 else [])
 
 
 def _pairs(export: Export) -> Iterator[Cast]:
@@ -345,16 +345,16 @@ def _pairs(export: Export) -> Iterator[Cast]:
             by_pair.setdefault(key, []).append((ref, rows, part, [labels[at] for at in part]))
     if table in ANNOTATED and row is None:  # single images, each a sequence
         for key in [key for key, parts in by_pair.items() if sum(len(part) for _, _, part, _ in parts) == 1]:
-            (one,) = by_pair.pop(key)
-            assert one[0] is not None
-            by_pair.setdefault((export.store.manifest(one[0]).partition, "stills", key[-1]), []).append(one)
+            (still,) = by_pair.pop(key)
+            assert still[0] is not None
+            by_pair.setdefault((export.store.manifest(still[0]).partition, "stills", key[-1]), []).append(still)
     levels = _chain_levels(export) if table == "draws" else {}
     for key, parts in by_pair.items():
         ref = parts[0][0]
-        frames = [int(one) for _, rows, part, _ in parts for one in rows["frame"][part]] if table in ANNOTATED else []
+        frames = [int(at) for _, rows, part, _ in parts for at in rows["frame"][part]] if table in ANNOTATED else []
         is_moving = len(frames) > 1 and bool((np.diff(frames) == 1).all())
-        judged = [_level(export.store, one) for one, *_ in parts if one is not None]
-        level = Level(key[0]) if ref is None else max(judged, key=lambda one: one.rank)
+        judged = [_level(export.store, artifact) for artifact, *_ in parts if artifact is not None]
+        level = Level(key[0]) if ref is None else max(judged, key=lambda judged_level: judged_level.rank)
         positions = np.concatenate([rows["pair17_m"][part] for _, rows, part, _ in parts]).astype(np.float64)
         is_video = table in ANNOTATED and "stills" not in key
         seen = (

@@ -49,7 +49,7 @@ def stored_weights(store: Store, manifest: Manifest) -> Weights:
 def _read(store: Store, manifest: Manifest) -> list[Manifest]:
     """Return the training data of a model that is still in the store."""
     inputs = (store.find(ref.stage, ref.key) for ref in manifest.inputs)
-    return [one for one in inputs if one is not None]
+    return [found_manifest for found_manifest in inputs if found_manifest is not None]
 
 
 def _card(store: Store, manifest: Manifest) -> str:
@@ -68,10 +68,10 @@ def _card(store: Store, manifest: Manifest) -> str:
 def _metrics(store: Store, manifest: Manifest) -> Iterator[str]:
     """Yield the scores of a model as rows: those of the last runs of studies, else all."""
     evaluations = [
-        one for one in store.artifacts("evaluation") if manifest.ref in one.inputs and "scores" in one.tables
+        part for part in store.artifacts("evaluation") if manifest.ref in part.inputs and "scores" in part.tables
     ]
     current = {ref.place for last in last_runs(store) for ref in last.refs("evaluation")}
-    for scores in [one for one in evaluations if one.ref.place in current] or evaluations:
+    for scores in [part for part in evaluations if part.ref.place in current] or evaluations:
         rows = store.read(scores.ref, "scores")
         for row in map(rows.row, range(rows.num_rows)):
             if row["method"] == ModelFacts.of(manifest).model and row["item"] == "all" and np.isnan(row["at"]):

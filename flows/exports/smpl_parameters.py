@@ -58,7 +58,7 @@ def _fitted(model: BodyModel, rig: Rig, positions_m: np.ndarray) -> tuple[SmplMo
 
 def _misfit_in_words(fitted: SmplMotion) -> str:
     """Return the misfit of betas and rotations in words."""
-    bone, worst_m = max(fitted.misfit_m.items(), key=lambda one: abs(one[1]))
+    bone, worst_m = max(fitted.misfit_m.items(), key=lambda misfit: abs(misfit[1]))
     mean_m = np.mean(np.abs([*fitted.misfit_m.values()]))
     return (
         f"joints lie within {1e3 * np.percentile(fitted.away_m, 95):.1f} mm (95 %), at worst "

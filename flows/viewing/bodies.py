@@ -130,9 +130,9 @@ class Bodies:
         positions = self._people.frame(frame) if pose is None else pose
         is_there = np.atleast_1d(np.isfinite(positions).all(axis=(1, 2)))
         rotations = []
-        for body, own, here in zip(self.skins, positions, is_there, strict=True):
-            places = own if here else np.full_like(own, _NOWHERE_M)
-            turns = body.turns(self._people.skeleton, places) if here else np.tile([0.0, 0.0, 0.0, 1.0], (len(own), 1))
+        for body, pose_m, here in zip(self.skins, positions, is_there, strict=True):
+            places = pose_m if here else np.full_like(pose_m, _NOWHERE_M)
+            turns = body.turns(self._people.skeleton, places) if here else np.tile([0, 0, 0, 1.0], (len(pose_m), 1))
             rotations.append((turns[:, [3, 0, 1, 2]], places))
         return rotations
 
@@ -163,7 +163,7 @@ def _rests(people: People) -> Array:
     whole = _whole(people)
     if not len(whole):
         return np.broadcast_to(1.7 * standing_m(people.skeleton), people.positions_m.shape[1:])
-    return np.stack([standing_rest_m(people.skeleton, one) for one in np.moveaxis(whole, 1, 0)])
+    return np.stack([standing_rest_m(people.skeleton, person_m) for person_m in np.moveaxis(whole, 1, 0)])
 
 
 def _radii(people: People) -> Array:
@@ -195,10 +195,10 @@ def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, A
     parts = contacts.shares[0, held][..., None] * people.reshape(-1, 3)[contacts.points[0, held]]
     touching = 0.5 * (parts[:, :2].sum(axis=1) - parts[:, 2:].sum(axis=1))
     deep: list[Array] = []
-    for one, other in combinations(range(len(people)), 2):
-        gaps = surface_gaps(people[[one, other]], radii[[one, other]], skeleton)
+    for first, other in combinations(range(len(people)), 2):
+        gaps = surface_gaps(people[[first, other]], radii[[first, other]], skeleton)
         a, b = np.nonzero(gaps.gap_m < -THROUGH_M)
-        for person, bones, share in ((one, a, gaps.share[a, b, 0]), (other, b, gaps.share[a, b, 1])):
+        for person, bones, share in ((first, a, gaps.share[a, b, 0]), (other, b, gaps.share[a, b, 1])):
             child = gaps.bones[bones]
             start = people[person, np.array(skeleton.parents)[child]]
             deep.append(start + share[:, None] * (people[person, child] - start))

@@ -125,9 +125,9 @@ class Curation:
         """Return the choices on a moment and on clips of its item, a line each."""
         marked = "" if self.clip is None else f"clip of frames {self.clip[0]} to {self.clip[1]}: "
         lines = [marked + self.choosing.words(moment.part.table, *self.thing(moment))]
-        for (first, last), one in self._clips(moment).items():
+        for (first, last), choice in self._clips(moment).items():
             start, end = moment.scene.frame_at(first), moment.scene.frame_at(last + 1) - 1
-            lines.append(f"frames {start} to {end} {one.words}")
+            lines.append(f"frames {start} to {end} {choice.words}")
         return lines
 
     def of_item(self, part: Part, item: Item) -> str:

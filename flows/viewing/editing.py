@@ -283,7 +283,7 @@ class Editor:
             viewer.show_item(viewer.index, viewer.moment.row)
         row = viewer.moment.row
         ref, _ = viewer.item.row(row)
-        views = [one for one in shelf.having("views") if ref in shelf.store.manifest(one).inputs]
+        views = [candidate for candidate in shelf.having("views") if ref in shelf.store.manifest(candidate).inputs]
         if not views:
             raise InputError("the study has no views of these annotations, so they cannot be lifted")
         place = viewer.item.read(shelf.store, "annotations", ["sequence_id", "frame"])

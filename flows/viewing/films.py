@@ -40,7 +40,7 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | Non
     told = manifest.parameters
     if "num_given" in told:
         names = manifest.files[told["num_given"] + told["num_networks"] :]
-        find = partial(_find_files, names, [Path(one["path"]) for one in ingest.get("videos", ())])
+        find = partial(_find_files, names, [Path(video["path"]) for video in ingest.get("videos", ())])
         rate_hz = None if told["is_constant_rate"] else told["video_rate_hz"]
         return FilmReader(cache(find), told["first_number"], told["first_frame"], told.get("after_s"), rate_hz)
     for source in ingest.get("annotations", ()):

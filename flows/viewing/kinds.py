@@ -156,7 +156,7 @@ def _nearest_poses(store: Store, ref: ArtifactRef, op14_m: Array, frame: int) ->
 @lru_cache(maxsize=1)
 def _database(store: Store, ref: ArtifactRef) -> tuple[Database, ProjectionIndex, Array, Integers] | None:
     """Return the thinned database of a reconstruction, in the view of its camera; None if it is gone."""
-    refs = [one for one in store.manifest(ref).inputs if store.find(one.stage, one.key)]
+    refs = [read for read in store.manifest(ref).inputs if store.find(read.stage, read.key)]
     refs = [other for other in refs if "projections" in store.manifest(other).tables]
     if not refs:
         return None
@@ -244,7 +244,7 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
     terms = ["log_density", "log_prior", "log_likelihood"]
     names = [*terms, "sequence_id", "sequence_frame", "view", "dissimilarity_m", "num_accepted"]
     data, people, rows = _pairs(shelf, part, item, names)
-    others = [one for one in shelf.items(part) if one.names[:2] == item.names[:2] and one != item]
+    others = [other for other in shelf.items(part) if other.names[:2] == item.names[:2] and other != item]
     chains = []
     for other in others:
         curve = np.full(len(rows), np.nan)

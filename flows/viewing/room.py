@@ -115,9 +115,9 @@ class Room:
             opacity = {} if apart else {"opacity": 0.3}
             self._grey = self._put_bodies(f"/{where}", self._behind, _GREY, apart, **opacity)
         self._more = []
-        for number, (label, one) in enumerate((more or {}).items(), 1):
-            bodies, away = Bodies(one.people), _BESIDE_M * ((number + 1) // 2) * (1 if number % 2 else -1)
-            self._more.append((self._put_bodies(f"/more{number}", bodies, None, away), bodies, one))
+        for number, (label, other) in enumerate((more or {}).items(), 1):
+            bodies, away = Bodies(other.people), _BESIDE_M * ((number + 1) // 2) * (1 if number % 2 else -1)
+            self._more.append((self._put_bodies(f"/more{number}", bodies, None, away), bodies, other))
             over = self._middle + self._to_right(away) + [0.0, _OVER_M, 0.0]
             scene.add_label(f"/names/{number}", label, position=over, anchor="bottom-center")
         for number in range(len(self._more) + 1, MOST_BESIDE):
@@ -150,8 +150,8 @@ class Room:
             _move(self._people, self._bodies, frame, pose)
             if self._behind is not None and self._grey is not None and scene.behind is not None:
                 _move(self._grey, self._behind, min(frame, len(scene.behind.positions_m) - 1))
-            for put, bodies, one in self._more:
-                _move(put, bodies, min(frame, one.num_frames - 1))
+            for put, bodies, other in self._more:
+                _move(put, bodies, min(frame, other.num_frames - 1))
             places, sizes = marker_balls((touch, through), _MARK_M)
             _place(self._marks, places, sizes)
             opacity = _SEEN_THROUGH if len(touch) + len(through) else None
@@ -275,7 +275,7 @@ def across(people: People) -> Array:
 def _grid(size: float) -> Array:
     """Return the lines (n, 2, 3) of a square grid of metres on the floor around the origin."""
     at = np.arange(-size / 2, size / 2 + 0.5)
-    x, z = (one.ravel() for one in np.meshgrid(at, at[:-1]))
+    x, z = (axis.ravel() for axis in np.meshgrid(at, at[:-1]))
     along = np.stack([np.stack([x, 0 * x, z], axis=-1), np.stack([x, 0 * x, z + 1.0], axis=-1)], axis=1)
     return np.concatenate([along, along[..., ::-1]]).astype(np.float32)
 

@@ -70,8 +70,8 @@ class Item:
     def number(self, ref: ArtifactRef, row: int) -> int | None:
         """Return the row of the item for a row of an artifact; None if that is not in the item."""
         before = 0
-        for own, rows in self.pieces:
-            if own == ref and len(positions := np.flatnonzero(rows == row)):
+        for artifact, rows in self.pieces:
+            if artifact == ref and len(positions := np.flatnonzero(rows == row)):
                 return before + int(positions[0])
             before += len(rows)
         return None
@@ -145,8 +145,8 @@ class Shelf:
             sizes = [len(row) for row in rows]
             if part.table == "annotations" and max(sizes) < 2 * _STILLS:
                 unique, rows = np.array([[SINGLE_IMAGES]]), [np.arange(data.num_rows)]
-            for name, own in zip(unique.tolist(), rows, strict=True):
-                rows_by_item.setdefault(tuple(name), []).append((ref, own))
+            for name, item_rows in zip(unique.tolist(), rows, strict=True):
+                rows_by_item.setdefault(tuple(name), []).append((ref, item_rows))
         return [Item(names, tuple(pieces), _label(columns, names)) for names, pieces in rows_by_item.items()]
 
     def having(self, table: str, partition: str | None = None) -> list[ArtifactRef]:

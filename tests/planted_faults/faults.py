@@ -370,7 +370,7 @@ FAULTS = (
     Fault("a run publishes though required verdicts fail", "flows/publishing.py", "    if failures:", "    if False:",
           "unit/test_flows_publishing.py::test_a_verdict_that_fails_publishes_nothing_and_is_named_with_the_figure"),
     Fault("of required verdicts the first alone is looked at", "flows/publishing.py",
-          "for one in required\n", "for one in required[:1]\n",
+          "for verdict_name in required\n", "for verdict_name in required[:1]\n",
           "unit/test_flows_publishing.py::test_a_required_verdict_that_is_not_there_publishes_nothing"),
     Fault("a run that is asked to fail on a verdict does not", "flows/publishing.py", "    if bad:", "    if not made:",
           "unit/test_flows_publishing.py::test_a_run_may_be_asked_to_fail_on_a_verdict"),

@@ -1,6 +1,6 @@
 """The driver of a run: plans a stage once its inputs are committed, submits its shards, and records it when complete.
 
-A stage is a task, from its first shard to its record. The task only shows progress; the driver does the work.
+Each stage is a task from its first shard to its record. The task only shows progress; the driver does the work.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ class _StageWork:
     """A stage of the run, from its first plan to its record.
 
     Args:
-        plan: The plan made beforehand; when all that it reads is there, what the stage consists of (`is_planned`).
-        urgency: Its place among the stages, the least urgent is 0.
-        early: Its early plans, each with the number of artifacts of the run that it has seen.
-        made: Its artifacts; None before all are there.
-        num_left: Its shards in work.
-        failed: Its shards that failed, or were not tried because one before them failed.
+        plan: The plan made beforehand; once its inputs are complete, the final plan (`is_planned`).
+        urgency: Its rank among the stages; the least urgent is 0.
+        early: Its early plans, each with the number of the run's artifacts that it has seen.
+        made: Its artifacts; None until all exist.
+        num_left: Its running shards.
+        failed: Its shards that failed, or were skipped because an earlier one failed.
         refusal: Why it cannot be planned.
         is_skipped: A stage that it needs failed.
         is_begun: It has a task.
-        ended: Nothing more is done for it.
+        ended: Nothing is left to do for it.
     """
 
     plan: StagePlan
@@ -90,11 +90,11 @@ class Build:
     """Brings the stages of a plan up to date.
 
     Args:
-        run: What is to be built.
+        run: The run to execute.
         run_id: Name of the run, for the record.
         plan: The plan made beforehand.
         pool: Computes shards.
-        start_task: Starts the task of a stage; there are no tasks where it is not given.
+        start_task: Starts the task of a stage; without it there are no tasks.
     """
 
     def __init__(self, run: Run, run_id: str, plan: Plan, pool: Pool, start_task: StartTask | None = None) -> None:
@@ -122,8 +122,8 @@ class Build:
 
         Raises:
             ShardError, InputError: Something failed.
-            ClusterError: There is nobody left to compute.
-            KeyboardInterrupt: `is_interrupted` said so.
+            ClusterError: No worker is left.
+            KeyboardInterrupt: `is_interrupted` returned true.
         """
         self._advance()
         while self._priority:

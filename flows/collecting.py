@@ -28,7 +28,7 @@ class StoreInUseError(Exception):
 class Collection:
     """Artifacts to keep and to remove, and folders of runs by id with their bytes.
 
-    Likewise the folders of the cache in which clips are unpacked, of whatever store or folder.
+    Also the folders of unpacked clips in the cache, of any store.
     """
 
     artifacts: Sweep
@@ -48,12 +48,12 @@ class Collection:
 def find_garbage(store: Store, since: datetime) -> Collection:
     """Return the needed and the removable artifacts of a store.
 
-    Needed is what datasets name, what is on record of each study, what the last finished run of each of its stages
-    made, what runs begun at or after a time made or found there, whatever was made since, and all these came from.
-    Unpacked clips are needed that were used since.
+    Needed are the artifacts of datasets, of the record of each study, of the last finished run of each of its stages,
+    of runs begun at or after `since`, all artifacts made since, and all ancestors of these. Unpacked clips are needed
+    if they were used since.
 
     Raises:
-        CorruptArtifact: A dataset or the record of a study cannot be read: what it needs is not known.
+        CorruptArtifact: A dataset or the record of a study cannot be read, so that its needs are unknown.
     """
     needed: set[StageKey] = named_places(store)
     runs = set()
@@ -88,7 +88,7 @@ def collect(store: Store, since: datetime) -> Collection:
 
     Raises:
         StoreInUseError: A run is in progress.
-        StorageError: Another process plans or builds here just now.
+        StorageError: Another process is planning or building here.
         CorruptArtifact: As `find_garbage`.
     """
     with in_use(store, alone=True):

@@ -35,13 +35,13 @@ class Work:
     """The known work of a build.
 
     Args:
-        jobs: Each after those that it waits for.
-        worker_bytes: The most memory that a process of the last run held; None where that is not on record.
+        jobs: The jobs, each after those that it waits for.
+        worker_bytes: Peak memory of a process in the last run; None if it is not on record.
         num_shards: Shards among them.
-        processor_s: What these take on one core, seconds.
-        num_bytes: What they write.
-        num_measured: Shards that were measured themselves; others take the mean of their stage.
-        unknown: Stages of which nothing is known.
+        processor_s: Their time on one core, seconds.
+        num_bytes: Bytes that they write.
+        num_measured: Measured shards; others count with the mean of their stage.
+        unknown: Stages that were never measured.
     """
 
     jobs: list[Job] = field(default_factory=list)
@@ -79,7 +79,7 @@ class Cost:
 def planned_work(plan: Plan, graph: Graph, store: Store, measured: Store | None = None) -> Work:
     """Return the work of a plan, as measured when it was computed before, here or in the store `measured`.
 
-    Of a stage that cannot be planned yet it is what there was last time.
+    Stages that cannot be planned yet count as last time.
 
     Raises:
         PlanError: Nothing of it was measured.

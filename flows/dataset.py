@@ -56,14 +56,14 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
     """Build a plan as a flow, and return the outcome or raise its error also if Prefect can no longer be reached.
 
     Args:
-        run: What is to be built.
+        run: The run to execute.
         plan: Its plan.
         pool: Computes shards.
-        server: Prefect's server of this run, which may be starting; not used where the user's profile names one.
+        server: Prefect's server of this run, which may be starting; unused if the user's profile names another one.
 
     Raises:
         ServerError: Prefect's server cannot be used.
-        ShardError: Shards failed; everything that needs none of them is committed.
+        ShardError: Shards failed; everything that does not need them is committed.
     """
     results: list[Outcome | Exception] = []
     settings: dict[Any, Any] = {}
@@ -113,7 +113,7 @@ def dataset(
 ) -> dict[str, int]:
     """Bring a study up to date, as the entry point of deployments; return the number of computed shards by stage.
 
-    Relative paths of settings and of a study that ships start from `folder`: a worker's own is another each time.
+    Relative paths of settings and of a shipped study start from `folder`, because a worker's current folder changes.
     """
     where = cluster_settings(workers, worker_memory_gb, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     chosen, graph = load_study(study, load_graph(), settings=settings, folder=None if folder is None else Path(folder))

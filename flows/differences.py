@@ -73,10 +73,11 @@ class Changes:
     """Two runs or versions side by side.
 
     Args:
-        pairs: Of parameters, environment and files what differs, as texts by name.
-        artifacts: For each stage how many artifacts are the same, hold other bytes (`other`), or are in one alone.
-        scores: Those that differ, the greatest change for its size first.
-        num_scores: How many there are in either.
+        pairs: Differences of parameters, environment, files and licences, as text by name.
+        artifacts: For each stage the number of artifacts that are the same, have other bytes (`other`), or are in one
+            only.
+        scores: Scores that differ, the largest relative change first.
+        num_scores: Number of scores in either.
     """
 
     pairs: Mapping[str, Mapping[str, tuple[str, str]]]
@@ -122,9 +123,9 @@ class Comparison:
 
     Args:
         num_same: Artifacts with the same bytes.
-        only_one: Places that only one has.
-        differing: What others differ by, each after what it reads.
-        beyond: The first place where that is more than rounding; None where it is nowhere.
+        only_one: Places that only one build has.
+        differing: Differences by place, each after its inputs.
+        beyond: The first place with more than rounding; None without one.
     """
 
     num_same: int
@@ -168,8 +169,8 @@ def compare(
 ) -> Comparison:
     """Compare two builds artifact by artifact; only those with different digests are read.
 
-    Attached files (pages, pictures, weights) have no tolerance: other bytes of theirs count as rounding where a table
-    before them, or beside them, was rounded otherwise; one that is missing never does.
+    Attached files (pages, pictures, weights) have no tolerance: other bytes count as rounding if a table before or
+    beside them differs by rounding. A missing file never does.
 
     Raises:
         CorruptArtifact, SchemaError: A table cannot be read.

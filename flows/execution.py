@@ -20,19 +20,19 @@ from tasks.shards import ClusterPool, ClusterSettings, HerePool, Pool, connect, 
 def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: StartTask | None = None) -> Outcome:
     """Bring every selected stage of the study up to date; the record of the last run is updated stage by stage.
 
-    A shard starts when what it reads is there, whatever its stage.  A stage is recorded when all of it is there, by the
-    plan made from all that it reads, in that plan's order: who finished first leaves no trace.
+    A shard of any stage starts when its inputs exist. A stage is recorded when it is complete, in the order of the plan
+    made from all its inputs, so that the order of completion has no effect.
 
     Args:
-        run: What is to be built.
-        folder: Where the run is recorded, from `begin`.
+        run: The run to execute.
+        folder: Folder of the run's record, from `begin`.
         plan: The plan made beforehand.
         pool: Computes shards.
         start_task: Starts the task of a stage, which shows what is done.
 
     Raises:
-        ShardError, InputError: Shards or stages failed; those that need nothing of them are up to date.
-        ClusterError: There is nobody left to compute.
+        ShardError, InputError: Shards or stages failed; those that do not need them are up to date.
+        ClusterError: No worker is left.
     """
     status, peak = "failed", None
     build = Build(run, folder.run_id, plan, pool, start_task)

@@ -44,7 +44,7 @@ def memory_bytes() -> int | None:
 def _group_limits(controller: str, *names: str) -> Iterator[list[int]]:
     """Yield the limits in files of these names of this process's Linux control groups, the innermost first.
 
-    There are two versions: in the first, each controller has groups of its own, and -1 is no limit.
+    In version 1 each controller has its own groups, and -1 means no limit.
     """
     try:
         lines = os.fsdecode(_GROUPS.read_bytes()).splitlines()
@@ -65,7 +65,7 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
     """Return the number of workers asked for, else one per usable core as far as the memory reaches.
 
     Raises:
-        InputError: More workers than usable cores are asked for, and nobody said that this is meant.
+        InputError: More workers than usable cores are requested, without `oversubscribe`.
     """
     cores = usable_cores()
     if asked is None:
@@ -99,7 +99,7 @@ def cluster_settings(
     """Return where shards run; a scheduler, or the cluster of a profile, has its own workers.
 
     Raises:
-        InputError: As `num_workers`, both a scheduler and a profile are given, or the profile cannot be read.
+        InputError: As in `num_workers`; or both a scheduler and a profile are given, or the profile cannot be read.
     """
     if scheduler is not None and cluster is not None:
         raise InputError("--scheduler is a cluster that runs, --cluster starts one; give one of them")

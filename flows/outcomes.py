@@ -71,7 +71,7 @@ class StageOutcome:
 class Outcome:
     """The outcome of a run by stage, and its memory.
 
-    `report` is the folder of its report, and `page` what to open of it; None when the study makes none.
+    `report` is the folder of its report, and `page` the file to open; None without a report.
     """
 
     run_id: str

@@ -48,8 +48,8 @@ class StageSelection:
     Args:
         only: These stages alone.
         start: This stage and everything that follows from it.
-        until: This stage and everything it needs, then the page on that where it needs nothing else (`Graph.only`).
-        force: These stages are computed again even when they are fresh.
+        until: This stage and everything it needs, and the report on these if it needs nothing else (`Graph.only`).
+        force: These stages are computed again even if they are fresh.
     """
 
     only: tuple[str, ...] = ()
@@ -101,7 +101,7 @@ class ShardPlan:
 class StagePlan:
     """A stage and the states of its shards; a pending stage has no shards yet, only its last partitions.
 
-    `absent_tables` are those it reads that nothing wrote; `is_asked`: the study or the command names the stage.
+    `absent_tables` are inputs that nothing wrote; `is_asked`: the study or the command names the stage.
     """
 
     stage: Stage
@@ -251,7 +251,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: StageSelectio
 
     Raises:
         PlanError: An unknown stage is selected, or a selected stage needs one that is neither fresh nor selected.
-        InputError, StorageError, OSError: From a stage's own plan: its sources or parameters cannot be used.
+        InputError, StorageError, OSError: Sources or parameters of a stage cannot be used.
     """
     selection = selection or StageSelection()
     selected = selection.stages(graph)
@@ -289,8 +289,8 @@ def what_is_missing(plan: StagePlan, manifests: Sequence[Manifest]) -> str:
     """Return the needs of a requested stage that made nothing; else empty.
 
     Args:
-        plan: The stage as it was planned.
-        manifests: What came of its shards.
+        plan: The planned stage.
+        manifests: The artifacts of its shards.
     """
     if (
         plan.is_pending
@@ -309,7 +309,7 @@ def refuse_nothing(missing: Sequence[str]) -> None:
     """Fail if a requested stage made nothing; results of others are in the store.
 
     Raises:
-        NothingMadeError: Says which stages, and what they need.
+        NothingMadeError: Names the stages and their needs.
     """
     if missing:
         raise NothingMadeError("\n       ".join(missing))

@@ -1,7 +1,7 @@
 """A Prefect server for one run: a separate process that ends with the run, however the run ends.
 
-Run as a module it is the server; it prints its address and serves until its standard input is closed, which the
-system does when the process that started it dies, also by `kill -9`. (Prefect's own temporary server outlives that.)
+Run as a module, this is the server: it prints its address and serves until its standard input is closed, which happens
+when the parent process dies, also by `kill -9`. (Prefect's own temporary server outlives that.)
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def check_server(address: str, note: Callable[[str], None]) -> None:
     """Wait while a server refuses connections because it is starting; `note` receives messages.
 
     Raises:
-        ServerError: It refuses for too long, or does not answer in another way.
+        ServerError: It refuses for too long, or does not answer.
     """
     began = said = time.monotonic()
     while (state := _state(address)) == "refuses" and time.monotonic() - began < _REFUSED_S:

@@ -34,7 +34,7 @@ class _Bar:
 def write_profile(folder: Path, store: Store, done: Sequence[ShardDone]) -> Path:
     """Write the profile of a run's shards to `profile.html` in a folder, and return the file.
 
-    Shards that were there, and so were not computed, are not in it.
+    Shards that existed before are not included.
     """
     computed = [(shard, shard.place) for shard in done if shard.place is not None]
     origin_s = min((place.began_s for _, place in computed), default=0.0)

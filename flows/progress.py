@@ -23,12 +23,12 @@ class Progress:
 
     Args:
         num_done: Shards that have ended.
-        num_shards: Shards that are known to be needed, those of stages that cannot be planned yet as many as last time.
+        num_shards: Shards needed; stages that cannot be planned yet count as last time.
         running: Shards handed to workers.
-        left_s: Seconds to the end where shards take what those of their stage take, or took last time.
-        is_all: Whether that is all; else there are stages of which nothing is known.
-        partitions: By stage and partition of what is running, how many of its shards have ended, and how many it has.
-        noun: What is counted.
+        left_s: Estimated seconds to the end, with the mean times of each stage, now or last time.
+        is_all: Whether the estimate includes all stages; else some were never measured.
+        partitions: Ended shards and all shards of each stage and partition that is running.
+        noun: Name of the counted things.
     """
 
     num_done: int
@@ -59,7 +59,7 @@ class PartitionCount:
 class Listener:
     """Receives the events of a run and does nothing; subclasses override what they show.
 
-    Shards of a stage may be done before it is said to start: what they read was there before all that the stage reads.
+    Shards may be done before their stage starts, because their inputs may be complete before all inputs of the stage.
     """
 
     def note(self, text: str) -> None:
@@ -89,7 +89,7 @@ class Tally:
     """Counts shards by stage.
 
     Args:
-        store: Has what shards of the last run took.
+        store: Has the times of the last run's shards.
         study: Name of the study.
     """
 

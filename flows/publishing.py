@@ -32,8 +32,8 @@ class Published:
     Args:
         name: Name of the dataset.
         words: What happened, in one line.
-        dataset: The version that holds what the run made; None where nothing is published.
-        failures: The verdicts that forbid it, with the figure.
+        dataset: The version with the results of the run; None if nothing is published.
+        failures: The verdicts that prevent publishing, with figures.
     """
 
     name: str
@@ -50,13 +50,12 @@ class Published:
 def publish(run: Run, outcome: Outcome) -> Published | None:
     """Publish the products of a run, fresh ones included; None if its study does not publish.
 
-    The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
-    study, the environment and the card.  A run of a part of a study, one
-    with a verdict that must not fail and does, and one that made nothing new are not published.  What a version has
-    lost is new again.
+    The version names exactly the artifacts of this run, whatever other runs do meanwhile, and appears in one step with
+    the study, the environment and the card. Not published are runs of a part of a study, runs with a failed required
+    verdict, and runs without anything new; lost artifacts of a version count as new.
 
     Raises:
-        MissingArtifact, CorruptArtifact: An artifact of the run is no longer whole in the store.
+        MissingArtifact, CorruptArtifact: An artifact of the run is no longer complete in the store.
         FullDisk: There is no room left.
     """
     settings, store = run.study.publish, run.store

@@ -29,7 +29,7 @@ class Reasons:
 
     Args:
         stage: The stage.
-        sections: What the study says of the stage now, as JSON values, by section: its own and those it shares.
+        sections: The current settings of the stage, as JSON values by section: its own and shared ones.
         inputs: Everything the stage may read.
         last: The stage in the last run.
     """
@@ -72,7 +72,7 @@ class Reasons:
     def _input_changes(self, old: ShardRecord, shard: Shard) -> list[str]:
         """Return the changed inputs in words; many of them by stage only.
 
-        Artifacts of the shard's own stage are those it comes after: manifests record them, a plan has only their keys.
+        Artifacts of the shard's own stage are left out: manifests record them, but a plan has only their keys.
         """
         names, inputs = self._names, self._inputs
         read = [record for record in old.inputs if record.stage != shard.stage]

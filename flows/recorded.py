@@ -30,8 +30,8 @@ _PATH = re.compile(r'"(/[^"|\n]+)')
 class Recorded:
     """A run or a version of a dataset: resolved study, environment, artifacts by place, and credits of sources.
 
-    The artifacts are all that it was computed from, each after what it reads; `named` are the stages whose artifacts it
-    names itself, all of them, while of other stages it may need a part.
+    The artifacts include all ancestors, each after its inputs. `named` are the stages whose artifacts it names
+    completely; of other stages it may need only a part.
     """
 
     label: str
@@ -69,7 +69,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
     Raises:
         PlanError: There is no such run, it did not finish, or the study of the dataset is not on record.
         UnknownReference: There is no such dataset.
-        MissingArtifact, CorruptArtifact: An artifact is no longer whole in the store.
+        MissingArtifact, CorruptArtifact: An artifact is no longer complete in the store.
     """
     if "@" in name:
         dataset = open_dataset(store, name)
@@ -102,8 +102,8 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
     """Return these artifacts and all their ancestors by place, each after its inputs.
 
     Raises:
-        PlanError: Two artifacts stand at one place: they are of several runs.
-        MissingArtifact, CorruptArtifact: One of them is no longer whole in the store.
+        PlanError: Two artifacts have one place, so they come from several runs.
+        MissingArtifact, CorruptArtifact: One of them is no longer complete in the store.
     """
     manifests: dict[ArtifactRef, Manifest] = {}
     waiting = deque(refs)  # named ones first: an input may be one of them under an older key
@@ -144,8 +144,8 @@ def environment_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[
 def portable_files(folder: Path) -> dict[str, bytes]:
     """Return the files of a dataset for other machines, by name: paths are cut to the last parts that identify them.
 
-    Where this machine keeps its files is nobody's business, and means nothing elsewhere: there the study reads the same
-    names from the folder in which it is built.
+    Folders of this machine are private and meaningless elsewhere, where the study reads the same names from the folder
+    in which it is built.
     """
     texts = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir() if path.name != "dataset.json"}
     paths = {text: PurePosixPath(text).parts[1:] for text in _PATH.findall(texts.get(STUDY_FILE, ""))}

@@ -43,8 +43,8 @@ _RUNNING = re.compile(rb'"status": *("running")')
 def read_last_run(store: Store, study: str) -> LatestRun | None:
     """Return the last run of a study; None if there was none or its record cannot be read.
 
-    The record only serves to explain: what is fresh is decided by keys.  So one that is damaged, or of an older schema,
-    costs words, not work.
+    The record is only used for explanations, because keys decide what is fresh. A damaged record, or one of an older
+    schema, therefore causes no work.
     """
     try:
         return read_latest(store, study)
@@ -158,8 +158,8 @@ def describe_runs(store: Store) -> list[dict[str, str]]:
 def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
     """Return why the recorded artifacts of these stages do not belong to one run; empty if they do.
 
-    It is one, whoever computed it, where everything that was read is on record too, and where what the last run
-    changed was followed to its end.
+    They belong to one run if all their inputs are on record too, and if changes of the last run were followed to the
+    end; it does not matter which run computed them.
     """
     if run_record(store, last.run_id).get("status", "finished") != "finished":
         return f"its last run, {last.run_id}, did not finish"
@@ -200,7 +200,7 @@ def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) ->
 def shown_page(store: Store, study: str, report: Path | None) -> Path | None:
     """Copy the page of a run's report to its permanent path, and return the path to open.
 
-    Where the store cannot be written, that is the page in the run's folder; where there is no page, the folder.
+    If the store cannot be written, that is the page in the run's folder; without a page, the folder.
     """
     if report is None or not (page := report / REPORT_PAGE).is_file():
         return report

@@ -1,6 +1,6 @@
 """Scheduled builds: deploys the dataset flow for a study, to be run by a worker of Prefect.
 
-Importing this module imports Prefect: telemetry is off, and `PREFECT_API_URL` (or a profile) names the server, before.
+Importing this module imports Prefect. Before, switch telemetry off and set `PREFECT_API_URL` (or a profile).
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _ZOMBIES = "pasdedeux: builds whose process is gone"
 def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str) -> str:
     """Create or replace a deployment of the dataset flow on Prefect's server, and return its full name.
 
-    A store has a work queue of its own that lets one build run at a time; a build that is due while one of the same
-    study waits or runs is not started.  An automation marks builds whose process has vanished as crashed, no others.
+    Each store has its own work queue, which runs one build at a time; a build is not started while one of the same
+    study waits or runs. An automation marks builds whose process has vanished as crashed.
 
     Args:
-        name: Of the deployment: the study's.
+        name: Name of the deployment, which is the study's.
         parameters: Arguments of `flows.dataset.dataset`.
         cron: When, in UTC; None for no such schedule.
         every: Time between builds; None for no such schedule.
-        pool: The work pool, which is made where it is missing.
+        pool: The work pool, created if it is missing.
     """
     queue = "store-" + hashlib.sha256(parameters["store"].encode()).hexdigest()[:12]
     with get_client(sync_client=True) as client:

@@ -20,8 +20,8 @@ _is_ending = threading.Event()
 def ended_as_by_ctrl_c() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP like Ctrl-C in this block, unless one is ignored, as under `nohup`.
 
-    They often come together, so further ones are ignored, after this block, too: a second must not break off what the
-    first one ends.
+    They often come together, so further ones are ignored, also after this block: a second one must not interrupt the
+        clean-up of the first.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -50,11 +50,11 @@ def ended_as_by_ctrl_c() -> Iterator[None]:
 def remembered_ctrl_c(*, is_passed_on: bool) -> Iterator[Callable[[], bool]]:
     """Yield a function that tells whether Ctrl-C, SIGTERM or SIGHUP came in this block.
 
-    A second Ctrl-C is as if there were no block; after one of the others they are ignored, after this block, too.
+    A second Ctrl-C acts as without this block; after one of the other signals they are ignored, also after this block.
 
     Args:
-        is_passed_on: Whether the first one raises KeyboardInterrupt, too.  That is lost where it arrives in a
-            finalizer, of Dask's futures for example, so that alone does not end the work.
+        is_passed_on: Whether the first one also raises KeyboardInterrupt. It is lost if it arrives in a finalizer, such
+            as that of a future of Dask, so it alone would not end the work.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False

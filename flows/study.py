@@ -65,9 +65,9 @@ class PublishSettings(Settings):
 class Study(BaseModel):
     """A study with everything resolved: defaults filled in, overrides applied, paths absolute.
 
-    `asked` are the stages that its files name, by a section or in `stages`: of those something must come.  `shared` are
-    the sections that several stages share; what they say is in the parameters of each of those too.  `publish` says
-    what a finished run is published as; None where it is not.
+    `asked` are the stages that its files name, by a section or in `stages`, and that must make something. `shared` are
+    the sections that several stages share, also contained in the parameters of each. `publish` says how a finished run
+    is published; None: not at all.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -110,9 +110,9 @@ def load_study(
 ) -> tuple[Study, Graph]:
     """Load a study that ships (by name) or a file (by path) with overrides, and return it with the graph of its stages.
 
-    What is said first wins: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, what it extends,
-    the defaults.  Tables are merged, lists replaced.  Relative paths are relative to the file that says them; those of
-    settings, of the environment and of a shipped study to `folder` (the current one).
+    Precedence, highest first: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, the study that
+        it extends, the defaults. Tables are merged, lists replaced. Relative paths start at the file that states them;
+        those of settings, of the environment and of a shipped study at `folder` (the current one).
 
     Raises:
         StudyError: Lists every problem: no such study, not TOML, unknown keys, values that are not allowed.
@@ -134,11 +134,11 @@ def study_from_tree(
     """Validate the values of a study with its overrides, as `load_study` does.
 
     Args:
-        tree: What its files say; overrides are put into it.
+        tree: The values of its files; overrides are merged into it.
         graph: All stages.
         here: Folder that the relative paths of overrides start from.
         settings: Overrides, "a.b=c".
-        environment: Environment with further ones, the process's own when None.
+        environment: Environment with further overrides; that of the process if None.
 
     Raises:
         StudyError: Lists every problem.
@@ -198,12 +198,12 @@ def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph:
     """Restore the study of a record for these stages; the environment is ignored, and nothing is published.
 
     Args:
-        sections: What `Study.resolved` gave.
+        sections: The result of `Study.resolved`.
         stages: The stages to build.
         graph: All stages.
 
     Raises:
-        StudyError: This version of the program does not know what it says; lists every problem.
+        StudyError: This version of the program does not accept the record; lists every problem.
     """
     head = {**sections[HEAD], "stages": list(stages)}
     values = {name: section for name, section in {**sections, HEAD: head}.items() if name != PUBLISH}

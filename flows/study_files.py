@@ -41,9 +41,9 @@ class StudyTree:
     """The merged, unchecked values of a study: its file, the studies that it extends, and overrides.
 
     Args:
-        label: What to call the study in messages.
+        label: Name of the study in messages.
         values: Its tables.
-        folders: For a key the folder that relative paths at and below it start from; the longest key that fits counts.
+        folders: Folders for relative paths, by key; the longest key at or above a path counts.
     """
 
     label: str
@@ -99,11 +99,11 @@ def study_text(name_or_path: str, here: Path) -> str:
 def read_study_tree(name_or_path: str, here: Path) -> StudyTree:
     """Read a study that ships (by name) or a file (by path), with all studies that it extends.
 
-    Relative paths start from the file that says them, those of a study that ships from `here`.  The name and the title
-    of a study are its own, and so is what it publishes.
+    Relative paths start at the file that states them, those of a shipped study at `here`. Name, title and `[publish]`
+    are not inherited.
 
     Raises:
-        StudyError: There is no such study, it is not TOML, or it extends what does not exist or itself.
+        StudyError: There is no such study, it is not TOML, or it extends itself or a missing study.
     """
     tree = StudyTree(name_or_path, folders={(): here})
     _merge_study(tree, name_or_path, here, here, ())
@@ -122,11 +122,11 @@ def _merge_study(tree: StudyTree, said: str, here: Path, folder: Path, children:
     """Merge a study into a tree, after the studies that it extends.
 
     Args:
-        tree: Where to.
-        said: Name or path of the study, as somebody said it.
-        here: Where the relative paths of studies that ship start from.
-        folder: Where `said` starts from.
-        children: The studies that extend this one, the first one first.
+        tree: The tree.
+        said: Name or path of the study, as stated.
+        here: Start of the relative paths of shipped studies.
+        folder: Start of `said`, if that is a relative path.
+        children: The studies that extend this one, from the first.
     """
     context = f"study {children[-1]}: {HEAD}.extends: " if children else ""
     text, folder, label = _find(said, here, folder, context)

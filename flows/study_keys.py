@@ -29,7 +29,7 @@ _BOUNDS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 class StudyKey:
     """A key: its path for `--set` (N is a position in a list, NAME a name of your own), and its description.
 
-    `default` is a JSON value; `is_needed` tells that there is none.
+    `default` is a JSON value; `is_needed` means that there is none.
     """
 
     name: str

@@ -18,7 +18,7 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> None:
     """Run the command line and exit with its code: 0 done, 1 failed work, 2 bad input, 130 interrupted.
 
-    Nothing is imported before it is called: a Dask worker imports this package by its entry point.
+    Imports happen only in this call, because Dask workers import this package by its entry point.
     """
     use_one_thread()
     try:

@@ -1,6 +1,6 @@
 """The program `pasdedeux`: loads the command that is called, and turns an error into a sentence and an exit code.
 
-Most commands bring half of the science along, which the others need not wait for: each is imported when it is called.
+Each command is imported when it is called, because most of them import half of the science.
 """
 
 from __future__ import annotations

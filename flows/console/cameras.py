@@ -66,7 +66,7 @@ class OtherCamera:
 
     Args:
         tracks: Tracks of its people.
-        footage: What is at hand of it.
+        footage: Its camera motion and film.
         size_px: Width and height of its images, if known.
     """
 
@@ -79,7 +79,7 @@ def find_camera(path: Path, settings: Sequence[str], detect: Sequence[str] | Non
     """Find the video of another camera of a take, for `read_camera`.
 
     Raises:
-        InputError: It cannot be found, or is not one video.
+        InputError: The path cannot be found, or is not one video.
     """
     sources = sources_of(find_video(path, settings, detect=detect if is_film(path) else None))
     check_one_video(f"--camera {path}", [source.parameters.id for source in sources])
@@ -90,7 +90,7 @@ def read_camera(name: str, source: FoundAnnotations) -> OtherCamera:
     """Read the video of another camera of a take.
 
     Raises:
-        InputError: It cannot be read, or is not one video.
+        InputError: The video cannot be read, or is not one video.
     """
     resolved = source.resolve()
     check_one_video(f"camera {name}", [sequence.sequence_id for sequence in resolved.sequences])
@@ -116,7 +116,7 @@ def steady_tracks(resolved: ResolvedPeople, sequence: SequencePeople) -> tuple[l
     """Return the tracks of a sequence in its steady image, and the camera motion if it was subtracted; print both.
 
     Raises:
-        InputError: It is no video.
+        InputError: The sequence is no video.
     """
     if sequence.why_not_followed:
         raise InputError(sequence.why_not_followed)

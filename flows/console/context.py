@@ -91,7 +91,7 @@ def existing_store(folder: Path) -> Store:
     """Return the store in a folder or bucket, which must exist.
 
     Raises:
-        UnknownReference: There is none.
+        UnknownReference: There is no store.
     """
     from storage_schema import UnknownReference
 
@@ -127,7 +127,7 @@ def wrapped(line: str, width: int) -> list[str]:
 def echo(text: str, *, err: bool = False) -> None:
     """Print text on standard output or standard error; all commands print through this function.
 
-    Names, notes and credits that others wrote cannot drive the terminal: controls are written out.
+    Control characters are escaped, so that names, notes and credits from others cannot control the terminal.
     """
     typer.echo(visible(text), err=err)
 

@@ -148,7 +148,7 @@ class Steps:
     """Reports the steps of a piece of work to a listener, with the time left if all take the same; call it for each.
 
     Args:
-        listener: Who is told.
+        listener: Receives the progress.
         total: Number of steps.
     """
 

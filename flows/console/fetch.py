@@ -141,8 +141,8 @@ def fetch_network(network: NetworkAddress) -> None:
     """Download the file of a network to its place in the cache.
 
     Raises:
-        FetchError: It does not come, or another file does.
-        InputError: The address is no public one, or leads on to such a one.
+        FetchError: The download fails, or is another file.
+        InputError: The address is not public, or redirects to one that is not.
     """
     data = download(network.url, max_bytes=_MAX_NETWORK_BYTES, is_public=True)
     if hashlib.sha256(data).hexdigest() != network.sha256:
@@ -169,17 +169,15 @@ def fetch_cmu(
 ) -> Iterator[Fetched]:
     """Download skeleton and takes of each subject into a folder, one file at a time.
 
-    A file that is there, can be read and is as it came is left alone; one that comes is written only when it is whole
-    and was parsed.
+    An existing file that is readable and unchanged stays. A new one is written only after it is complete and parsed.
 
     Args:
-        wanted: Numbers of subjects, such as "60", each with the numbers of its takes; None for those that the
-            subject's page lists.
-        out: Folder, made if needed.
+        wanted: Numbers of subjects, such as "60", each with the numbers of its takes; None: those listed on the site.
+        out: Folder, created if necessary.
         base_url: Address of the site.
 
     Raises:
-        FetchError: The site cannot be reached, has no such file, or sends something that is no motion file.
+        FetchError: The site cannot be reached, lacks a file, or sends no motion file.
     """
     base = base_url.rstrip("/")
     try:
@@ -201,7 +199,7 @@ def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
 
     Raises:
         StudyError: There is no such study.
-        InputError: It names no takes of subjects with numbers.
+        InputError: It names no takes of numbered subjects.
     """
     wanted: dict[str, list[str]] = {}
     for family in _families(name_or_path).values():

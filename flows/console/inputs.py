@@ -56,7 +56,7 @@ def find_take(
     """Find the take that a reference names, or read motion files into a temporary store.
 
     Raises:
-        InputError: It is not there, not one, or its files cannot be read.
+        InputError: The take is missing or ambiguous, or its files cannot be read.
     """
     if len(take) == 1 and Path(take[0]).suffix == ".toml" and Path(take[0]).is_file():
         with _read_section(_section_of_study(take[0])) as take_files:
@@ -161,7 +161,7 @@ def find_model(text: str, store_root: Path) -> Weights:
 def known_take(weights: Weights, ref: ArtifactRef, take_id: str) -> tuple[str, str]:
     """Return the name of a take for a model, and a sentence on whether the model was trained on it.
 
-    A take of the same name may be another one, so only the same content has the name that the model knows.
+    Another take may have the same name, so only a take with the same content keeps the name that the model knows.
     """
     is_known = weights.takes.get(take_id) == ref.content_digest
     name = take_id if is_known else f"{take_id} ({ref.key[:12]})"
@@ -172,8 +172,7 @@ def find_source(model: type[Source], path: Path, settings: Sequence[str], **give
     """Return 2D poses or film as a study would state them, from a path, KEY=VALUE and options of a command.
 
     Raises:
-        InputError: There is no such key, its value is not allowed, or of a film not one of keys, detections and
-            detect is given.
+        InputError: A key is unknown, its value is not allowed, or a film lacks one of keys, detections and detect.
     """
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
     stated = {key: toml_value(text) for key, _, text in (setting.partition("=") for setting in settings)}

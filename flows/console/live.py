@@ -49,9 +49,9 @@ class FollowedFile:
     Args:
         number: Frame number, from the file's name.
         path: The file.
-        people: Those who were seen.
-        frame: The same as annotations; None without anybody.
-        problem: Why the file never became whole; empty when it did.
+        people: The detected people.
+        frame: The same as annotations; None without people.
+        problem: Why the file never became complete; empty if it did.
     """
 
     number: int
@@ -75,7 +75,7 @@ def follow_video(
     """Write a line for each person and frame to a file or standard output, while a folder's files are written.
 
     Raises:
-        InputError: No folder, no projections, a stature of another form, or keypoints that are not people.
+        InputError: There is no folder or no projections, a stature has another form, or keypoints are not people.
     """
     if not video.path.is_dir():
         raise InputError(f"{video.path} is not a folder of OpenPose files")
@@ -124,15 +124,14 @@ def follow_folder(
 ) -> Iterator[FollowedFile]:
     """Yield frames as their files become complete; end at a file `STOP`, or after `idle_s` without a new file.
 
-    A file that is not whole yet (it cannot be read as OpenPose) holds up those after it until a later file is there
-    that is whole: the writer is past it then, and it is given without people.  Files that come late, with a number
-    before one that was already given, are left alone.
+    An incomplete file (unreadable as OpenPose) delays the following ones until a later file is complete: then the
+    writer has passed it, and it is returned without people. Late files, with a number before the last one, are ignored.
 
     Args:
         folder: Folder to watch.
-        idle_s: Seconds without anything new after which the video is over.
-        is_stopped: Tells that the video is over, as a file `STOP` does.
-        sleep: Waits; tests write in it.
+        idle_s: Seconds without a new file after which the video is over.
+        is_stopped: Returns whether the video is over, like a file `STOP`.
+        sleep: Waits; tests write files here.
         clock: Seconds.
     """
     last = -1
@@ -159,7 +158,7 @@ def follow_folder(
 def _new_frames(folder: Path, old: set[str], last: int) -> list[tuple[int, Path]]:
     """Return the numbered files after the last frame; names of all other files are added to `old`.
 
-    A night's folder has hundreds of thousands of files: names that were looked at are not looked at again.
+    A folder may have hundreds of thousands of files, so each name is examined once.
     """
     with os.scandir(folder) as entries:
         names = sorted(entry.name for entry in entries if entry.name not in old)
@@ -195,13 +194,13 @@ def follow_lines(
 
     Args:
         people: The live chain.
-        files: Frames as their files become whole.
-        out: Where lines go, None for standard output.
+        files: Frames as their files become complete.
+        out: File for the lines; None: standard output.
         rate_hz: Frames per second.
-        began: When following began, seconds since 1970; now if not given.
+        began: Start of following, seconds since 1970; now if not given.
 
     Raises:
-        InputError: Keypoints that are not people, or another layout in between.
+        InputError: Keypoints are not people, or the layout changes.
     """
     times = _Times(time.time() if began is None else began)
     lines = _Lines(people, out, rate_hz=rate_hz)
@@ -236,7 +235,7 @@ class _Times:
     """Working times of frames, and delays of poses.
 
     Args:
-        began: When following began, seconds since 1970: files that lay there before wait from then on.
+        began: Start of following, seconds since 1970, which counts as the arrival of earlier files.
     """
 
     def __init__(self, began: float) -> None:

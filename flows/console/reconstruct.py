@@ -186,12 +186,12 @@ class _Wanted:
     """Options of the command.
 
     Args:
-        database: Poses that are looked for.
+        database: Poses to search.
         camera: Stated pitch and height of the first camera.
-        calibration: The cameras, where a calibration is given.
-        person_ids: The people to reconstruct; all when empty.
+        calibration: The calibrated cameras, if any.
+        person_ids: The people to reconstruct; all if empty.
         statures: Stated statures, PERSON=METRES or METRES.
-        named_m: Statures of single people, metres; those of the source too.
+        named_m: Statures of single people, metres, also those of the source.
         has_clean_up: Whether motions are cleaned up.
         out: Folder for the files.
         units: Unit of lengths in BVH files.
@@ -224,7 +224,7 @@ def _reconstruct_sequence(
     """Reconstruct one sequence, with the other cameras of its take, and write its files.
 
     Raises:
-        InputError: A person is named who is not there, or nobody can be reconstructed.
+        InputError: A requested person is missing, or nobody can be reconstructed.
     """
     tracks, motion = steady_tracks(resolved, sequence)
     known = [track.person_id for track in tracks]

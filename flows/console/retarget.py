@@ -134,8 +134,7 @@ def _retarget_take(
     """Retarget a take by the solver or a trained model, write its files, and report the result.
 
     Raises:
-        InputError: There are more bodies than people, a body cannot be anybody's, or the model is of pairs and the take
-            is none.
+        InputError: There are more bodies than people, a body is impossible, or a model of pairs gets a take of others.
     """
     take = TakeFacts.of(store.manifest(ref))
     take_id, count = take.take_id, take.num_persons

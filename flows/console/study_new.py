@@ -50,7 +50,7 @@ _quoted = partial(json.dumps, ensure_ascii=False)
 class _Person:
     """A person of a motion file: motion, resolved properties, and a drafted mapping if no layout fits.
 
-    `layout` is the name of the layout, or of the mapping; empty where a mapping lacks joints that are needed.
+    `layout` is the name of the layout or mapping; empty if a mapping lacks required joints.
     """
 
     path: Path
@@ -76,7 +76,7 @@ class _Person:
 class _Video:
     """2D poses or a film as the study names them, the number of people at once, and whether they move.
 
-    `given` is the key of a film that says where its 2D poses come from; empty for 2D poses.
+    `given` is the key that states the origin of a film's 2D poses; empty for 2D poses.
     """
 
     id: str
@@ -94,8 +94,8 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
     Motion files are the people of one take, person A first.  Without files, the study is of the built-in duets.
 
     Raises:
-        InputError: The study exists already or cannot be written, a file does not exist, is given twice, or is none
-            of the known formats.
+        InputError: The study exists already or cannot be written; a file does not exist, is given twice, or has an
+            unknown format.
     """
     if path.exists():
         raise InputError(f"{path} already exists; choose another name or remove it")

@@ -53,11 +53,11 @@ class Contents:
     """The contents of a folder.
 
     Args:
-        dataset: The dataset as it leaves: artifacts and sources that may.
-        manifests: All artifacts that leave, what it was computed from too, by place in their stage; without times.
+        dataset: The shared dataset, with the artifacts and sources that may be shared.
+        manifests: All shared artifacts, with ancestors, by their place in their stage; without times.
         groups: Their rows.
         sides: The side of each take.
-        left_out: What is left out, in sentences.
+        left_out: Sentences on what is left out.
     """
 
     dataset: Dataset
@@ -76,19 +76,19 @@ def find_contents(
 ) -> Contents:
     """Return the artifacts of a dataset that may be shared, with all their ancestors.
 
-    Left out is what came from a source whose licence forbids it, is not stated, or that is `withheld`; takes that fail
-    and what a person rejected; and all that was computed from such a source, take or sequence.  The evaluation shows
-    everything, so it stays here where anything is left out.
+    Left out are sources whose licence forbids sharing or is not stated, and `withheld` ones; takes that fail; rejected
+    items; and everything computed from such a source, take or sequence. The evaluation shows all data, so it is left
+    out if anything is.
 
     Args:
         store: The store.
         dataset: The version.
-        withheld: Names of sources that stay.
-        known: Sides that takes have already.
+        withheld: Names of sources to leave out.
+        known: Sides of takes that are fixed already.
 
     Raises:
-        PlanError: No such source is withheld, or nothing may leave.
-        MissingArtifact: Something is no longer whole in the store.
+        PlanError: A withheld source does not exist, or nothing may be shared.
+        MissingArtifact: An artifact is no longer complete in the store.
     """
     names = {source.name for source in dataset.sources}
     if unknown := sorted(set(withheld) - names):

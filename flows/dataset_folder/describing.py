@@ -51,9 +51,9 @@ def describe(
 
     Args:
         store: The store that they come from.
-        contents: What they hold.
+        contents: Their contents.
         files: The data files, by their names in the folder.
-        stats: What `stats.json` has.
+        stats: The content of `stats.json`.
         folder: The folder.
     """
     dataset = contents.dataset

@@ -47,8 +47,8 @@ def is_folder(name: str) -> bool:
 def read_folder(folder: Path, store: Store) -> tuple[Dataset, int]:
     """Read a dataset's folder into a store.
 
-    An artifact that is whole in the folder has the bytes that it had; one of which rows were left out, or an input, is
-    another there, with a key and a digest of its own.
+    An artifact that is complete in the folder keeps its bytes; one without some rows or inputs becomes another
+    artifact, with its own key and digest.
 
     Returns:
         The dataset in the store, and the number of artifacts that were new there.
@@ -104,7 +104,7 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
     Afterwards the store has the dataset of this name and version.
 
     Raises:
-        DatasetExists: It has another already.
+        DatasetExists: The store has another one already.
     """
     manifest = _checked(folder)
     listed, files = read_record(folder)
@@ -160,7 +160,7 @@ def _read_group(folder: Path, table: str, place: _Place) -> Any:
     """Return the rows of a row group.
 
     Raises:
-        CorruptArtifact: It cannot be read, or has other columns than this program declares.
+        CorruptArtifact: The group cannot be read, or has other columns than this program declares.
     """
     try:
         with pq.ParquetFile(folder / place[0]) as file:

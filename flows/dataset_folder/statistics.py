@@ -54,8 +54,8 @@ def figures_of_motions(clips: Iterable[tuple[Numbers, float]], num_rows: int) ->
     """Return the figures of clips, by column.
 
     Args:
-        clips: Positions (frame, person, 22, 3), metres, and the rate of each, Hz; one at a time is in memory.
-        num_rows: Frames times people of all.
+        clips: Positions (frame, person, 22, 3), metres, and rate of each, Hz; one at a time is in memory.
+        num_rows: Frames times people of all clips.
     """
     step = max(1, -(-num_rows // _MOST_ROWS))
     by_name = {name: Figures(step) for name in ("body22_m", "body22_velocity_m_s", "bone_length_m")}
@@ -71,7 +71,7 @@ def contact_figures(held: Mapping[str, Numbers], num_frames: Mapping[str, int]) 
     """Return the share of frames in which each bone is in contact, over all takes.
 
     Args:
-        held: Frames in which each bone (22,) is held by a contact, by take, of anybody.
+        held: Number of frames in which each bone (22,) of any person is in contact, by take.
         num_frames: Frames of each take.
     """
     count = sum(num_frames.values())

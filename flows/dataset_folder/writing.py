@@ -1,7 +1,7 @@
 """Writes a dataset's folder: Parquet files, each complete or absent, their description, and the manifest last.
 
-All of it grows in `.NAME.part` beside the folder, whose place it takes in one step.  Who is interrupted leaves whole
-files there, and the same command goes on after them.  An update links the files that stay.
+Files are written to `.NAME.part` beside the folder, which replaces the folder in one step. An interrupted call leaves
+complete files there, and the same command continues. An update links the files that stay.
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ def write_folder(
     Args:
         store: The store.
         dataset: The version.
-        out: The folder: not there yet, empty, or one that has the version `since`, which it takes the place of.
-        since: Version that the folder has, `name@version`; its data files stay as far as all rows of them do.
-        withheld: Names of sources that stay here.
+        out: The folder: missing, empty, or with the version `since`, which is replaced.
+        since: Version in the folder, `name@version`; its data files stay if all their rows do.
+        withheld: Names of sources to leave out.
 
     Raises:
-        PlanError: The folder has something else, or nothing may leave.
-        MissingArtifact, CorruptArtifact: Something is not whole in the store, or the folder.
+        PlanError: The folder has other contents, or nothing may be shared.
+        MissingArtifact, CorruptArtifact: An artifact or a file is not complete in the store or the folder.
         FullDisk: There is no room left.
     """
     out = out.absolute()
@@ -190,11 +190,11 @@ def fill(
 
     Args:
         store: The store.
-        contents: What goes there.
+        contents: The contents.
         files: The data files.
         part: The folder.
-        kept: Folder that has those files which are there already, by their names `before`; None to write them too.
-        withheld: Names of sources that stay, for the record.
+        kept: Folder with the existing files, by their names `before`; None to write them, too.
+        withheld: Names of sources that are left out, for the record.
     """
     plan = [contents.dataset.label, contents.dataset.digest, SCHEMA_VERSION]
     plan += [[file.name, file.before, [key_of(group) for group in file.groups]] for file in files]

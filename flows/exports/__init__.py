@@ -80,11 +80,11 @@ def export_reference(
 ) -> list[Path]:
     """Write the rows of a reference into a folder, and return the files, the credits last.
 
-    What somebody rejected is left out: as this file of choices says, else as the study or dataset does.  `options` are
-    those that some formats heed, by their names in `Export`: verdict, all_methods, footage, body_model.
+    Rejected items are left out, by this file of choices, else by that of the study or dataset. `options` are those of
+    some formats only, by their names in `Export`: verdict, all_methods, footage, body_model.
 
     Raises:
-        InputError: The format is not known, cannot hold what is named, or has no rest pose, unit or rate to choose.
+        InputError: The format is unknown, cannot hold the rows, or has no choice of rest pose, unit or rate.
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
@@ -118,7 +118,7 @@ def export_selection(
     """Write a selection of pairs that represents all of a study; return the files and a sentence on the selection.
 
     Raises:
-        InputError: The format is not known or holds no table, a study is not named as a whole, or nothing is plausible.
+        InputError: The format is unknown or cannot hold tables, no whole study is named, or nothing is plausible.
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)

@@ -14,8 +14,8 @@ class CastFiles:
     """Files of an export.
 
     Args:
-        export: What is given out.
-        out: Folder, which is there.
+        export: The export.
+        out: Folder, which exists.
         said: Sentences on all files of the format.
     """
 

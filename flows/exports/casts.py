@@ -80,9 +80,9 @@ class Rig:
     Args:
         motion: The motion.
         height_m: The person's stature.
-        positions_m: Where the joints are (frame, J, 3), metres, where bones change their lengths; else None.
-        body_map: body22 as points of its joints; None where it is a working skeleton itself.
-        own: On the source's own skeleton: who it is, the motion, and body22 of the variant that it plays.
+        positions_m: Positions of the joints (frame, J, 3), metres, if bones change their lengths; else None.
+        body_map: body22 as points of its joints; None for a working skeleton.
+        own: On the source's own skeleton: the person, the motion, and body22 of its variant.
     """
 
     motion: Motion
@@ -101,8 +101,8 @@ class SeenCast:
         person_ids: Its people, A first.
         frames: Its frames (frame,).
         skeleton: Skeleton of the positions.
-        positions_m: Camera axes (frame, person, J, 3), metres; NaN where somebody is not there.
-        is_pair: Whether the places of both to each other are those of the image.
+        positions_m: Camera axes (frame, person, J, 3), metres; NaN for absent people.
+        is_pair: Whether the relative positions of both are those of the image.
     """
 
     sequence_id: str
@@ -122,13 +122,13 @@ class Cast:
         skeleton: Skeleton of the positions.
         positions_m: Positions (frame, person, J, 3), metres.
         rate_hz: Frames per second.
-        source_rate_hz: Those of the file that it came from; 0 where that is not known.
+        source_rate_hz: Frames per second of the source's file; 0 if unknown.
         level: Verdict on it.
         axes: Its axes.
-        said: What else must be known.
-        labels: What each frame is, where frames do not follow each other in time.
-        seen: The same as the camera of a video sees it, where it was made from annotations.
-        ref: The artifact that it is in.
+        said: Further facts.
+        labels: References of the frames, if they are no motion.
+        seen: The cast in the view of the camera, if it was made from annotations.
+        ref: Its artifact.
         make_rigs: Makes its people.
     """
 
@@ -322,7 +322,7 @@ def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
 def _kept_parts(rows: TableData, left_out: Collection[str]) -> Iterator[tuple[Any, ...]]:
     """Yield video and method, the kept rows of each part, and its frames if rejected clips cut the video.
 
-    A single frame is no motion and is left out.
+    Single frames are left out.
     """
     is_kept = np.isin(np.arange(rows.num_rows), rows_without(rows, left_out))
     for key, of_video in groups(rows, "sequence_id", "method"):

@@ -23,7 +23,7 @@ def touching(store: Store, reference: Reference) -> tuple[ArtifactRef, ...]:
     """Return the artifacts with takes, variants and motions for a reference to contacts.
 
     Raises:
-        InputError: There is none, or a row is named.
+        InputError: There are none, or a row is named.
     """
     refs: list[ArtifactRef] = []
     for table in MOVING if reference.row is None else ():

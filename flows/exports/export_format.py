@@ -32,20 +32,20 @@ class Export:
 
     Args:
         store: Store that holds it.
-        text: The reference as it was given.
+        text: The text of the reference.
         reference: The reference.
         refs: The artifacts that it names.
         rest_pose: Rest pose of the skeletons of takes and variants: the source's, or a standing T-pose.
         units: Lengths of their BVH files: centimetres, metres, or the units of each source's file.
-        selected: Rows that were made of what is named, and are given out in its place.
+        selected: Selected rows, which are exported instead of those of the reference.
         rate: Rate of takes and variants: the study's, or that of each take's source.
-        verdict: The worst level of what lies in the folder itself; what is worse lies in a folder of its own.
-        all_methods: The results of every method that lifts or reconstructs, baselines too, in place of the product.
-        footage: Video that results are drawn on; None for blank frames.
-        body_model: Body model that parameters are written for.
-        sources: Licences and credits of what is named.
-        choices: What somebody accepted or rejected, as a study has it, see `tasks.curation`.
-        make_rows: Makes the rows of a table that is in no store, where such a one is named.
+        verdict: The worst level in the folder itself; worse results get a separate folder.
+        all_methods: Results of all methods that lift or reconstruct, also of baselines, instead of the product.
+        footage: Video for drawing results on; None for blank frames.
+        body_model: Body model for parameters.
+        sources: Licences and credits of the rows.
+        choices: Accepted and rejected items, in the form of a study, see `tasks.curation`.
+        make_rows: Makes the rows, for a table that is in no store.
     """
 
     store: Store
@@ -89,12 +89,12 @@ class ExportFormat:
     """A format of exported files; licence and credits are written for all formats.
 
     Args:
-        write: Writes the files into a folder that is there, at paths of `FileNames`, and returns them.  Lengths, axes,
-            rate and joint names are in the files or their format fixes them: nothing leaves without units.
-        can_write: Tells whether it can hold the rows of a reference.
-        writes: What it can write, in words, after "allowed are".
-        has_rest_pose: Whether it writes skeletons, so that their rest pose and units can be chosen.
-        options: Further options of an export that it heeds: verdict, all_methods, footage, body_model.
+        write: Writes the files into an existing folder, at paths of `FileNames`, and returns them. Lengths, axes, rate
+            and joint names are in the files, unless the format fixes them.
+        can_write: Returns whether it can hold the rows of a reference.
+        writes: The tables that it can write, in words, after "allowed are".
+        has_rest_pose: Whether it writes skeletons with a choice of rest pose and units.
+        options: Further options that it has: verdict, all_methods, footage, body_model.
     """
 
     write: Callable[[Export, Path], Iterable[Path]]
@@ -118,10 +118,10 @@ class FileNames:
     def path(self, *parts: str | int, suffix: str, who: str = "", is_apart: bool = False) -> Path:
         """Return a path, with a number if it was returned before: take a_b, variant c and take a, variant b_c.
 
-        What is not as good as was asked for lies apart.  `who` is the person that a file is of, after a dot.
+        Results with a worse verdict than requested are apart. `who` is the person of a file, after a dot.
 
         Raises:
-            InputError: A part, which may come from rows that somebody else wrote, is no plain name.
+            InputError: A part, which may come from foreign rows, is no plain name.
         """
         for part in parts:
             if not is_plain_name(str(part)):
@@ -151,7 +151,7 @@ def write_units(out: Path, said: Iterable[str], lines: Mapping[str, str]) -> Pat
     Args:
         out: The folder.
         said: Sentences on all files of a kind.
-        lines: What is special about a file, by its name.
+        lines: A line for each file, by its name.
     """
     path = out / "UNITS.txt"
     before = path.read_text("utf-8", errors="replace").partition("\n\n") if path.is_file() else ("", "", "")

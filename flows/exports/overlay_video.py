@@ -116,7 +116,7 @@ def _bones(image: Any, points_px: Array, seen: SeenCast, colour: tuple[int, int,
 def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: bool) -> tuple[Array, Array]:
     """Return scale (P,) and shift (P, 2), pixels, that fit people (P, J, 3), camera axes, to the annotation.
 
-    A pair is laid on as a whole, people of a video one by one; NaN where fewer than two joints are given.
+    A pair is fitted as a whole, people of a video one by one; NaN if fewer than two joints are given.
     """
     flat = people_m[..., :2] * (1.0, -1.0)
     scales, shifts = np.full(len(flat), np.nan), np.full((len(flat), 2), np.nan)
@@ -133,7 +133,7 @@ def _laid_on(people_m: Array, given_px: Array, is_given: Flags, *, together: boo
 def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags, tuple[int, int], float | None]:
     """Return the annotation of a cast (frame, P, J, 2) in pixels, which of it is given, and the size of its images.
 
-    And the rate on which ingest placed it, where that of the film is not constant.
+    Also return the rate that ingest used for the frames, if the film's own rate is not constant.
     """
     assert cast.ref is not None
     ref = inputs_with(store, cast.ref, "annotations")[0]
@@ -165,7 +165,7 @@ class Footage:
 
     Args:
         path: The film, or a folder of numbered images.
-        rate_hz: Rate on which its annotations were placed, where its own is not constant; else None.
+        rate_hz: Rate of its annotations, if its own is not constant; else None.
 
     Raises:
         InputError: The film cannot be read.

@@ -47,7 +47,7 @@ class TakePerson:
         metres_per_unit: Length of one unit of the source's file.
         layout: Name of the layout of its joints.
         up_axis: Axis that points up in the source's file.
-        source_rate_hz: Frames per second of the source's file; 0 where that is not known.
+        source_rate_hz: Frames per second of the source's file; 0 if unknown.
     """
 
     take_id: str
@@ -111,7 +111,7 @@ class RigFiles:
     """Files of people: a BVH and an npz each, and at the end a text about them.
 
     Args:
-        out: Folder, which is there.
+        out: Folder, which exists.
         rest_pose: Of the source, or a standing T-pose.
         units: Of BVH files: centimetres, metres, or those of each source's file.
     """
@@ -134,11 +134,11 @@ class RigFiles:
         """Write a person's motion as BVH and npz.
 
         Args:
-            parts: Of the name of both files, before the person.
-            person: Who it is.
+            parts: Parts of the name of both files, before the person.
+            person: The person.
             own_skeleton: The motion.
-            wanted_m: body22 of the variant that it plays (frame, 22, 3), metres; none where it is the source.
-            is_apart: Whether it lies apart from what is good.
+            wanted_m: body22 of the variant (frame, 22, 3), metres; None for the source itself.
+            is_apart: Whether it goes to the folder of worse results.
         """
         path = self._names.path(*parts, suffix=".bvh", who=person.letter, is_apart=is_apart)
         motion = rig_of(own_skeleton, self._rest_pose).motion

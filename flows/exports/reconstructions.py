@@ -52,8 +52,8 @@ class WrittenReconstruction:
     Args:
         rows: For each person, then each couple's distance: file, frames, expected error, misfit, misfit of left-out
             clips, share of joints seen, share of frames bridged, and verdict, in words.
-        decisions: The table of who is who.
-        page: The page that shows it.
+        decisions: The table of identities.
+        page: The page with the result.
     """
 
     rows: list[tuple[str, ...]]
@@ -66,9 +66,9 @@ class Footage:
     """Further data of a camera beside its keypoints.
 
     Args:
-        motion: How the camera moves, where that was subtracted.
-        film: The shot, where it is film.
-        calibrated: The camera, where a calibration was given.
+        motion: The camera motion, if it was subtracted.
+        film: The shot of film, if there is one.
+        calibrated: The calibrated camera, if there is one.
     """
 
     motion: CameraMotion | None = None
@@ -94,11 +94,11 @@ def write_reconstruction(
 
     Args:
         reconstruction: The people, at least one.
-        sequence: What was decided of the sequence.
-        out: Folder; made where it is not there.
+        sequence: The decisions on the sequence.
+        out: Folder; created if it is missing.
         units: Unit of lengths in BVH files, "cm" or "m".
-        footage: What is at hand of each camera.
-        cameras: The cameras where there are several.
+        footage: Further data of each camera.
+        cameras: The cameras, if there are several.
     """
     out.mkdir(parents=True, exist_ok=True)
     names, people = FileNames(out), reconstruction.people
@@ -193,7 +193,7 @@ def _over_film(
 ) -> tuple[list[Image], float]:
     """Draw the reconstruction over images from the middle of a film, faces blurred; return them with their rate.
 
-    No images where the film ends before the reconstruction begins, or begins after its end.
+    There are no images if the film and the reconstruction do not overlap in time.
     """
     tracks, first = people.methods[-1].people, film.parameters.first_number + film.parameters.first_frame
     times_s = (
@@ -234,7 +234,7 @@ def _over_film(
 def _between_frames(positions_m: Array, at: Array) -> Array:
     """Interpolate joints (frame, *batch) at fractional frames (n,); NaN beside a frame of NaN.
 
-    A frame off by rounding is that frame: somebody who leaves after it is still there.
+    A frame within rounding counts as that frame, so that a person who leaves after it is still there.
     """
     at = np.where(np.abs(at - np.round(at)) < 1e-6, np.round(at), at)
     flat = positions_m.reshape(len(positions_m), -1)

@@ -73,7 +73,7 @@ _MOST_GAPS = 3000
 def surface_gap_curve(people: People) -> Array | None:
     """Return the smallest gap between surfaces of two people (frame,), metres; None for one person or other skeletons.
 
-    It is negative where bodies are within each other, and NaN where fewer than two are there.
+    It is negative where bodies overlap, and NaN with fewer than two people.
     """
     if people.positions_m.shape[1] < 2 or people.skeleton not in (BODY22, PAIR17):
         return None
@@ -94,9 +94,9 @@ class Bodies:
     """People and objects over time: skins if a T-pose is known and no joint is missing, else capsules.
 
     Args:
-        people: Who.
+        people: The people.
         ends_m: Axes of objects (frame, object, 2, 3) with their radii (object,), metres.
-        is_thin: Sticks of one width, as 2D poses are drawn.
+        is_thin: Whether bones are sticks of one width, as for 2D poses.
     """
 
     def __init__(
@@ -179,11 +179,11 @@ def _radii(people: People) -> Array:
 def marks(skeleton: Skeleton, people_m: Array, radii_m: Array) -> tuple[Array, Array]:
     """Return points of contact (n, 3) and of penetration (m, 3), metres.
 
-    Contacts are those of the augmentation in this frame by itself; penetration is deeper than `THROUGH_M`.
+    Contacts are those of the augmentation for this frame alone; penetration is deeper than `THROUGH_M`.
 
     Args:
-        skeleton: Whose joints.
-        people_m: A frame (person, joint, 3), metres; who is not there does not count.
+        skeleton: Their skeleton.
+        people_m: A frame (person, joint, 3), metres; absent people are ignored.
         radii_m: Radii (person, joint), metres.
     """
     there = np.isfinite(people_m).all(axis=(1, 2))

@@ -90,7 +90,7 @@ class Curation:
     """Choices on the shown items.
 
     Args:
-        shelf: What can be looked at.
+        shelf: The contents.
         choosing: The file of choices.
     """
 
@@ -158,11 +158,11 @@ def thing_of(shelf: Shelf, part: Part, item: Item, row: int, clip: tuple[int, in
     """Return name and content that a choice at a row of an item applies to; the item may hold more.
 
     Args:
-        shelf: What can be looked at.
+        shelf: The contents.
         part: A part of it.
         item: An item of the part.
         row: A row of the item.
-        clip: Only from this frame of a reconstruction to that one.
+        clip: First and last frame of a clip of a reconstruction; None for the whole item.
 
     Raises:
         InputError: Clips of this table cannot be chosen, or the item has no such frames.

@@ -60,9 +60,9 @@ def time_strip(is_there: Flags, levels: Integers | None, gap_m: Array | None) ->
     """Return a strip of presence, contacts and verdicts over time, to the right; None if there is nothing to show.
 
     Args:
-        is_there: Who is there (frame, person): a row each, where somebody is not always.
-        levels: How each frame was judged (frame,): green, amber or red.
-        gap_m: Smallest gap of bodies (frame,), metres: green while they touch, red while they are within each other.
+        is_there: Presence of people (frame, person); a row each, unless all are always there.
+        levels: Verdict of each frame (frame,): green, amber or red.
+        gap_m: Smallest gap of bodies (frame,), metres: green for contact, red for overlap.
     """
     rows: list[Array] = []
     if not is_there.all():

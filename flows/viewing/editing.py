@@ -42,9 +42,9 @@ class Editor:
     """The folder of the panel in which pairs are changed and chains are started.
 
     Args:
-        viewer: What it belongs to.
+        viewer: The viewer.
         out: Folder for the files that are saved.
-        num_workers: Workers of a restart; those of `pasdedeux restart` where None.
+        num_workers: Workers of a restart; None: the default of `pasdedeux restart`.
     """
 
     def __init__(self, viewer: Viewer, out: Path, num_workers: int | None = None) -> None:

@@ -35,7 +35,7 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | Non
 
     Args:
         manifest: The artifact.
-        ingest: The section of the study, as it was recorded.
+        ingest: The recorded section of the study.
     """
     told = manifest.parameters
     if "num_given" in told:
@@ -62,7 +62,7 @@ def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
     """Return the tracked shot of film of an artifact of 2D poses; this takes as long as the first time.
 
     Raises:
-        InputError: One of its files is not where the study says, or has changed since.
+        InputError: One of its files is missing or has changed.
     """
     places: list[Path] = []
     for video in ingest.get("videos", ()):
@@ -94,11 +94,11 @@ class FilmReader:
     """Images of a film by frame number; the last ones are kept, small and compressed.
 
     Args:
-        find: Finds the film, or its images in order, which may take as long as reading it all.
+        find: Finds the film, or its images in order; may take as long as reading all of it.
         first_number: Number of its first image.
-        first_frame: First frame that may be asked for, from the beginning of the film.
-        after_s: Time stamp of the frame before that, by which it is sought; None where it is decoded up to there.
-        rate_hz: Where its own rate varies, that of the frames.
+        first_frame: First frame of the shot, counted from the beginning of the film.
+        after_s: Time stamp of the frame before, for seeking; None: decode from the beginning.
+        rate_hz: Rate of the frames, if the film's own rate varies.
     """
 
     find: Callable[[], tuple[SourceFile, ...]]
@@ -132,7 +132,7 @@ class FilmReader:
     def _read(self, number: int) -> int:
         """Read the image of a frame, unless it is kept, from the nearest earlier one to seek; return its number.
 
-        Of a film of a varying rate that is known once the image after it was read.
+        For a varying rate, the image is known once the next one was read.
         """
         at, is_sure = self._place(number)
         if is_sure and at in self._kept:

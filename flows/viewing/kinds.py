@@ -46,8 +46,8 @@ class Kind:
 
     Args:
         scene: Makes the scene of an item.
-        quality: Table with figures of each item, and the columns that name the item there; empty without one.
-        is_each: Each row is a thing of its own that is accepted or rejected: draws, seeds, lifted pairs.
+        quality: Table with figures of each item; empty without one.
+        is_each: Whether each row is accepted or rejected on its own: draws, seeds, lifted pairs.
     """
 
     scene: Callable[[Shelf, Part, Item], Scene]

@@ -25,9 +25,9 @@ class Listing:
 
     Args:
         panel: The panel.
-        shelf: What can be looked at.
-        curation: What was chosen.
-        offered: The widget in which the listed items are offered.
+        shelf: The contents.
+        curation: The choices.
+        offered: The widget with the listed items.
     """
 
     def __init__(self, panel: Panel, shelf: Shelf, curation: Curation, offered: Any) -> None:

@@ -37,12 +37,12 @@ def open_own_joints(files: Sequence[str], units_m: Sequence[float], refused: Inp
     """Yield a shelf with one take: the people of motion files that a study would refuse.
 
     Args:
-        files: The files; one that is named several times holds several people, and each time means the next.
-        units_m: Length of the unit of each file, metres; the last is that of further files, guessed where none is.
-        refused: Why no study could take them.
+        files: The files; one with several people may be repeated, each time for the next person.
+        units_m: Length of the unit of each file, metres; the last one also for further files; guessed without any.
+        refused: Why a study refuses them.
 
     Raises:
-        InputError: `refused`, where the files are bodies of known layouts, or cannot be read.
+        InputError: `refused`, if the files are bodies of known layouts, or cannot be read.
     """
     paths = list(map(Path, files))
     try:

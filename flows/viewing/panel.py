@@ -16,7 +16,7 @@ class Panel:
 
     Args:
         server: Server of the viewer.
-        lock: Is held while something is changed.
+        lock: Lock for changes.
     """
 
     def __init__(self, server: Any, lock: threading.RLock) -> None:
@@ -51,7 +51,7 @@ class Panel:
 
         Args:
             action: Called with the event.
-            is_alone: Whether other callbacks wait until it is done.
+            is_alone: Whether other callbacks wait for it.
         """
 
         def run(event: Any) -> bool:

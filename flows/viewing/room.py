@@ -84,7 +84,7 @@ class Room:
     def show(self, shown: Scene, where: str, more: Mapping[str, Scene] | None = None) -> None:
         """Show floor, bodies and camera of a scene, with the figures for comparison over or beside it.
 
-        Further scenes stand beside it by turns, with their names over them.
+        Further scenes stand on alternating sides, with their names above them.
         """
         scene, points = self._server.scene, shown.people.positions_m
         self._scene, self._bodies = shown, Bodies(shown.people, shown.ends_m, shown.radii_m, is_thin=shown.is_flat)
@@ -258,7 +258,7 @@ class Room:
 def across(people: People) -> Array:
     """Return the horizontal unit vector (x, z), z > 0, across the line between the first two people.
 
-    Of the frame in which they are nearest to each other; (0, 1) where there are fewer.
+    It is that of the frame in which they are nearest; (0, 1) for fewer people.
     """
     every = people.positions_m
     frames = evenly_spread(len(every), _MOST_FRAMES)

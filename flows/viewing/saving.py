@@ -53,7 +53,7 @@ def save_clip(viewer: Viewer, client: Any) -> None:
     """Send a browser its view of the next seconds as an animated WebP.
 
     Raises:
-        InputError: Somebody went on to something else meanwhile.
+        InputError: Another item was shown meanwhile.
     """
     with viewer.lock:
         viewer.play(False)

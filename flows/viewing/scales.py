@@ -31,7 +31,7 @@ class Scales:
         """Set the sliders to the scales of the shown item, or hide them if it has none.
 
         Args:
-            scales: Scales of the bones of those items that have some, by their numbers.
+            scales: Scales of bones by number of the item.
             own_scale: Number of the item.
         """
         known = {at: np.reshape(scale, (-1, BODY22.num_joints)) for at, scale in scales.items()}

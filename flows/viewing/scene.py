@@ -30,7 +30,7 @@ class People:
 class Flat:
     """2D poses of a frame (person, joint, 2), y down, NaN: missing, with size and title of their image.
 
-    `image` reads that image (height, width, 3), RGB, of any size, which may be gone; None where there never was one.
+    `image` reads the image (height, width, 3), RGB, of any size, or returns None if it is gone; None without an image.
     """
 
     skeleton: Skeleton
@@ -45,24 +45,24 @@ class Scene:
     """One item of the store, ready to be shown.
 
     Args:
-        people: Who is shown.
-        frame_of_row: The frame that each row of the item is of (row,).
-        rate_hz: Frames per second; None where frames do not follow each other in time.
-        flat: The 2D poses that `people` were seen as, standing in the room.
-        behind: What is compared with: the source of a variant, the capture behind a reconstruction.
-        behind_name: What that is.
+        people: The people.
+        frame_of_row: The frame of each row of the item (row,).
+        rate_hz: Frames per second; None if the frames are no motion.
+        flat: The 2D poses of `people`, standing in the room.
+        behind: Figures for comparison: the source of a variant, the capture behind a reconstruction.
+        behind_name: Their name.
         ends_m: Ends of the axes of objects (frame, object, 2, 3), metres, with `radii_m` (object,).
-        camera: Camera that saw it.
-        film: Gives the image that the camera saw in a frame (height, width, 3), RGB, None where there is none.
+        camera: Camera of the footage.
+        film: Returns the camera's image of a frame (height, width, 3), RGB; None without one.
         curves: Figures over the frames (frame,), by name.
-        others: The first of these figures for other chains of the same seed (frame,), NaN where they end.
+        others: The first of these figures for other chains of the same seed (frame,), NaN after their end.
         levels: Verdict of each frame: 0 passes, 1 warns, 2 fails.
-        facts: What is known of the item, a line each.
-        say: Gives what is known of a frame, a line each.
-        images: Gives the 2D pictures that belong to a frame.
-        nearest: Gives further ones, which take time to find: the poses of the database that are nearest.
-        numbers: Numbers that the store has for the frames (frame,), rising, with gaps where nobody is there.
-        has_floor: The floor is at y = 0; else it is drawn under the lowest joint.
+        facts: Facts about the item, a line each.
+        say: Returns facts about a frame, a line each.
+        images: Returns the 2D pictures of a frame.
+        nearest: Returns the nearest poses of the database as pictures, which takes time.
+        numbers: Stored numbers of the frames (frame,), rising, with gaps without people.
+        has_floor: Whether the floor is at y = 0; else it is drawn under the lowest joint.
     """
 
     people: People

@@ -75,7 +75,7 @@ class Seen:
     ) -> PinholeCamera | None:
         """Return the camera that projects a reconstruction (frame, person, 22, 3) onto its 2D poses.
 
-        None where too little of them was seen.
+        Return None if too little of them was seen.
         """
         if self.ref is None:
             return None

@@ -1,9 +1,9 @@
 """The server of the viewer: viser for this machine only, with a secret address and no content from other hosts.
 
-Viser checks neither who asks (Host) nor which page does (Origin), and offers a tunnel through a host of its makers.
-Here a request with a foreign Host or Origin is refused before the handshake, the tunnel is gone, and the page may load
-nothing from elsewhere (Content-Security-Policy), such as the decoder of meshes that its client names.  Other users of
-the machine reach its loopback too: the path of every address, pages and sockets alike, begins with a token.
+Viser checks neither Host nor Origin of a request, and offers a tunnel through a host of its makers. This server refuses
+a foreign Host or Origin before the handshake, removes the tunnel, and lets the page load nothing from other hosts
+(Content-Security-Policy), such as the decoder of meshes that viser's client names. Other users of the machine can reach
+its loopback, so the path of every address, for pages and sockets, begins with a token.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ def start_server(
     Args:
         port: Port, 0 for any that is free.
         token: Secret that the path of every request begins with.
-        on_visit: Called, in a thread of its own, with the reference in the address of a page, `?at=REFERENCE`.
-        on_pointer: Called with what a pointer does over the side picture; must not wait.
-        label: What stands over its panel.
+        on_visit: Called, in a separate thread, with the reference in the address of a page, `?at=REFERENCE`.
+        on_pointer: Called with the actions of a pointer over the side picture; must not wait.
+        label: Title of its panel.
 
     Raises:
         InputError: The port is in use, or viser is not installed.

@@ -1,6 +1,6 @@
 """The contents of the viewer, by manifests alone: parts of a store, their items, and the place of a reference.
 
-An item is what is played at once, such as a variant, a chain or a take; its rows are read when it is looked at.
+An item is played as a whole, such as a variant, a chain or a take; its rows are read when it is shown.
 """
 
 from __future__ import annotations
@@ -99,10 +99,10 @@ class Shelf:
 
     Args:
         store: The store.
-        shown: What was asked for.
-        beside: What else is at hand: the rest of the study.
-        tables: Tables to show, all that can be where none is given.
-        sections: The study as it was recorded: where its films are.
+        shown: The requested artifacts.
+        beside: Further available artifacts: the rest of the study.
+        tables: Tables to show; by default all that can be shown.
+        sections: The recorded study, with the paths of its films.
         scenes: Scenes of artifacts that have no working skeleton: files whose joints fit no layout.
     """
 
@@ -162,7 +162,7 @@ class Shelf:
         """Return the place of a reference, with or without a row.
 
         Raises:
-            UnknownReference, InputError: It points to nothing here.
+            UnknownReference, InputError: The place does not exist here.
         """
         reference = parse_reference(text)
         ref, rows = find_rows(reference, self.store)[0]
@@ -178,9 +178,9 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
     """Return the shelf of a study, a run, a version of a dataset or a reference; by default of the newest study.
 
     Raises:
-        InputError: There is nothing to look at.
+        InputError: There is nothing to show.
         PlanError: A run has not finished.
-        UnknownReference: It names nothing; says what is there.
+        UnknownReference: The word names nothing; lists what is there.
     """
     if word is None:
         runs = [(last.run_id, name) for name in latest_studies(store) if (last := read_latest(store, name))]

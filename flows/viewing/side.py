@@ -1,7 +1,7 @@
 """The side picture: 2D poses, over their image if there is one; joints can be dragged.
 
-A page tells the pointer over such a picture as shares of its size (`server.py`), so it may be shown at any size, as in
-the window that opens when it is enlarged.
+A page reports the pointer as shares of the picture's size (`server.py`), so the picture may have any size, as in the
+window that enlarges it.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
 def flat_picture(flats: Sequence[Flat]) -> Array:
     """Return 2D poses as one image (height, width, 3), RGB: a large first one above the others, two in a row.
 
-    Below film there are three in a row.
+    Below film, three in a row.
     """
     size = picture_size(flats)
     first = [] if size == _SMALL_SIZE else [_drawn(flats[0], size)]

@@ -40,10 +40,10 @@ class Viewer:
     """The shown item, and the panel that controls it.
 
     Args:
-        shelf: What can be looked at.
+        shelf: The contents.
         port: Port, 0 for any that is free.
-        at: Reference of the first moment; the first item where none is given.
-        choosing: The file of choices; `curation.txt` here where none is given.
+        at: Reference of the first moment; by default that of the first item.
+        choosing: The file of choices; by default `curation.txt` here.
     """
 
     def __init__(self, shelf: Shelf, *, port: int = 0, at: str | None = None, choosing: Choosing | None = None) -> None:

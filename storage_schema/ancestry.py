@@ -40,8 +40,8 @@ def walk(
 
     Args:
         refs: The artifacts.
-        read: Gives the manifests of some artifacts, None for one that is gone, which ends its branch.
-        known: Places that are passed over, with all that lies behind them.
+        read: Returns the manifests of some artifacts; None for one that is gone, which ends its branch.
+        known: Places that are skipped, with all their ancestors.
     """
     seen: set[tuple[str, str, str]] = set()
     depth, waiting = 0, list(refs)
@@ -63,10 +63,10 @@ def walk_stored(
 def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
     """Return the artifacts and all their ancestors, each once, by distance.
 
-    An input that is no longer in the store is listed without a manifest and ends its branch.
+    An input that is no longer in the store has no manifest and ends its branch.
 
     Raises:
-        MissingArtifact: An artifact asked about is not in the store.
+        MissingArtifact: One of these artifacts is not in the store.
     """
     for ref in refs:
         store.manifest(ref)
@@ -76,7 +76,7 @@ def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
 def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str, str]]) -> bool:
     """Return whether these artifacts and all their ancestors exist.
 
-    `known` are the places of those that are known to be; what is found is added.
+    `known` are places that are known to exist; those found are added.
     """
     ancestors = set[tuple[str, str]]()
     for step in walk_stored(store, refs, known):
@@ -90,7 +90,7 @@ def has_lineage(store: Store, refs: Iterable[ArtifactRef], known: set[tuple[str,
 def held_out(store: Store, refs: Iterable[ArtifactRef]) -> set[Identity]:
     """Return held-out artifacts and their descendants, which nothing may learn from.
 
-    A missing ancestor is taken for one that is not held out.
+    A missing ancestor counts as not held out.
     """
     manifests = {step.ref.identity: step.manifest for step in walk_stored(store, refs)}
     is_held: dict[Identity, bool] = {}

@@ -52,12 +52,12 @@ class ArtifactWriter:
     """Writer of an artifact (`Store.writer`): append rows, attach files, set facts; `ref` is set at the block's end.
 
     Args:
-        folder: Empty folder that the files grow in.
-        where: What a message calls the place when the disk is full.
-        facts: Small JSON facts that later planning reads; may be changed until the block ends.
-        sources: Licence and credit of new sources; those of the inputs are added by themselves.
+        folder: Empty folder for the files.
+        where: Name of the place in messages about a full disk.
+        facts: Small JSON facts for later planning; may be changed until the block ends.
+        sources: Licence and credit of new sources, without those of the inputs.
 
-    `timings` are seconds by name, in no digest; they may be set until the block ends.
+    `timings` are seconds by name and enter no digest; they may be set until the block ends.
     """
 
     def __init__(self, folder: Path, *, where: Path, facts: Mapping[str, Any], sources: Sequence[SourceCredit]) -> None:

@@ -1,7 +1,7 @@
 """Files in S3-compatible storage: failed or slow requests are repeated, and existing names are not overwritten.
 
-Address and credentials come from the environment alone (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and nothing of
-them is in files or messages.
+Address and credentials come only from the environment (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and never appear
+in files or messages.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class RemoteStore:
     def create(self, path: str, data: bytes) -> bool:
         """Create a file; return false if there is another one, which stays.
 
-        One with these bytes is this: an answer that was lost is asked for again.
+        A file with the same bytes counts as created, because a request whose answer was lost is repeated.
         """
 
         def ask() -> bool:
@@ -143,7 +143,7 @@ class RemoteStore:
     def replace(self, path: str, data: bytes, tag: str) -> str | None:
         """Replace the file if it has this tag; return the new tag, None if the file has changed.
 
-        That other one may be this: an answer that was lost is asked for again.
+        The new content may be this one, because a request whose answer was lost is repeated.
         """
         try:
             put = self._asked(f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}))
@@ -178,7 +178,7 @@ class RemoteStore:
     def at_once(self, do: Callable[[S], T], each: Iterable[S]) -> list[T]:
         """Apply a function to each item, some at the same time; raise the error of the first that fails.
 
-        After an interruption no outage is waited for.
+        After an interruption, outages are not waited for.
         """
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             try:

@@ -1,9 +1,9 @@
 """Layout of a bucket, below a prefix, for stores and for datasets that are pushed there.
 
-`parts/<sha256>` is a data file, `manifests/<stage>/<key>` what an artifact says of itself, `records/...` what lies
-under the same name in a store's folder (`runs/`, `store.json`), `datasets/<name>@<version>` a dataset's folder as a tar
-file, `lease` who builds.  Parts are written before the manifest that names them, and a manifest is written once, so a
-visible artifact is complete.
+`parts/<sha256>` is a data file, `manifests/<stage>/<key>` the manifest of an artifact, `records/...` a file of the same
+name in a store's folder (`runs/`, `store.json`), `datasets/<name>@<version>` a dataset's folder as a tar file, and
+`lease` names the build that has the store. Parts are written before the manifest that names them, and a manifest is
+written once, so that visible artifacts are complete.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def read_dataset(remote: RemoteStore, label: str) -> bytes:
     """Return the tar file of a dataset.
 
     Raises:
-        FileNotFoundError: There is none.
-        CorruptArtifact: It is too large to be one.
+        FileNotFoundError: There is no such dataset.
+        CorruptArtifact: The file is too large to be a dataset.
     """
     return remote.read(f"datasets/{label}", limit=MAX_DATASET_BYTES)
 
@@ -67,7 +67,7 @@ def unpack_dataset(data: bytes, where: str) -> dict[str, bytes]:
     """Return the files of a dataset's tar; it must not be compressed, so that it cannot grow.
 
     Raises:
-        CorruptArtifact: It is none, or holds something else than files side by side.
+        CorruptArtifact: It is no tar file, or contains anything but plain files.
     """
     files: dict[str, bytes] = {}
     try:

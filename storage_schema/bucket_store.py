@@ -1,8 +1,8 @@
 """A store in S3-compatible storage, accessed through a local store, its mirror.
 
-The mirror has the layout of every store, with manifests and records as they were when it was refreshed, and data files
-since they were first read; it can be removed whenever nothing runs.  Workers on other machines have mirrors of their
-own.  What the bucket has is in `bucket_layout`.
+The mirror has the usual layout of a store, with manifests and records as of the last refresh, and the data files read
+so far. It can be removed when nothing runs. Workers on other machines have their own mirrors. `bucket_layout` describes
+the bucket.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class BucketStore(Store):
     def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
         """Fetch the current manifest of an artifact unless `known` is here; remove the local one if there is none.
 
-        After a refresh it is asked for only where it is `known` that it has changed.
+        After a refresh, it is fetched only if `known` shows that it has changed.
         """
         if known is None and self._is_current:
             return
@@ -113,7 +113,7 @@ class BucketStore(Store):
         """Return the local path of a data file of an artifact; fetch it if necessary.
 
         Raises:
-            CorruptArtifact: It is not there, or not what its name says, also when asked for again.
+            CorruptArtifact: It is missing or does not match its name, also when it is requested again.
         """
         path = self.here.data_file(ref, name, entry)
         if path.is_file() and path.stat().st_size == entry.bytes:
@@ -162,10 +162,10 @@ class BucketStore(Store):
     def put_in_place(self, staging: StagingFolder, new: Manifest, *, replaces: bool = False) -> ArtifactRef:
         """Put an artifact into the bucket, its manifest last, then here; return the one that is there in the end.
 
-        One that is there and does not stay, or whose manifest is none, is replaced in one step.
+        An existing one that does not stay, or has a damaged manifest, is replaced in one step.
 
         Raises:
-            NamedByDataset: A dataset needs what is there, and this has other bytes.
+            NamedByDataset: A dataset needs the existing one, and the new one has other bytes.
         """
         self._check_not_lost()
         parts = {entry.sha256: staging.path / name for name, entry in new.data_files.items()}
@@ -191,7 +191,7 @@ class BucketStore(Store):
         """Put a dataset into the bucket; return false if its name is taken, and fetch the one that has it.
 
         Raises:
-            DatasetExists: An earlier release pushed one of this name.
+            DatasetExists: An earlier release pushed a dataset of this name.
         """
         packed = pack_dataset({path.name: path.read_bytes() for path in staged.iterdir()})
         if not self.remote.create(f"datasets/{label}", packed):
@@ -229,7 +229,7 @@ class BucketStore(Store):
     def in_use(self, *, alone: bool = False) -> Iterator[None]:
         """Build alone in the store in this block, which begins with a refresh.
 
-        Records of runs reach the bucket meanwhile.
+        Records of runs are written to the bucket meanwhile.
 
         Raises:
             StorageError: Another run has the lease.

@@ -16,8 +16,8 @@ _PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 class Column:
     """One column of a table.
 
-    `shape` gives the axes of a fixed-size numeric column, `axes` their names, and `joints` the skeleton whose joint
-    names the joint axis carries.  All of it travels in the Parquet field metadata.
+    `shape` has the axes of a fixed-size numeric column, `axes` their names, and `joints` the skeleton of the joint
+    axis. All are in the Parquet field metadata.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Differences of two artifacts of the same work by column, and whether they are rounding.
 
-On one platform the same work gives the same bytes.  Another processor or version of a library rounds otherwise; what it
-gives is called the same where no value differs by more than its column's tolerance.
+On one platform the same work gives the same bytes. Another processor or version of a library rounds differently;
+results count as the same if no value differs by more than the tolerance of its column.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e-\d+")
 class Difference:
     """The largest difference in a column of a table, or of an attached file, which has no column.
 
-    `largest` and `allowed` are of numbers; where values have no distance `largest` is infinite.
-    A table or file that only one of the two has is missing.
+    `largest` and `allowed` apply to numbers; `largest` is infinite for other values. `is_missing`: only one of the two
+    has the table or file.
     """
 
     table: str

@@ -32,9 +32,9 @@ DATASET_FILE = "dataset.json"
 class Dataset:
     """A named, immutable list of artifacts.
 
-    Those made without a version are numbered from 1. Licences and credits are those of the time it was made, and never
-    change either. The digest is over the artifacts' stages, keys and content digests, and the sources. `created_at` is
-    in UTC; attached files such as the dataset card lie in `path`.
+    Datasets without a stated version are numbered from 1. Licences and credits are those of its creation, and never
+    change either. The digest is over stages, keys and content digests of the artifacts, and the sources. `created_at`
+    is in UTC; attached files, such as the dataset card, are in `path`.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Dataset:
 def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
     """Return the datasets of a store or the versions of one, without those of an older schema.
 
-    CorruptArtifact where the list of one cannot be read.
+    CorruptArtifact if the list of one cannot be read; `dataset_labels` has all datasets.
     """
     datasets = []
     for path in _folders(store, name):
@@ -73,7 +73,7 @@ def list_datasets(store: Store, name: str = "*") -> list[Dataset]:
 def named_places(store: Store) -> set[tuple[str, str]]:
     """Return stage and key of all artifacts in the datasets of a store, also those of an older schema.
 
-    CorruptArtifact where the list of one cannot be read: what it names is not known.
+    CorruptArtifact if the list of one cannot be read, because its artifacts are unknown.
     """
     places = set[tuple[str, str]]()
     for path in _folders(store):
@@ -111,7 +111,7 @@ def open_dataset(store: Store, label: str) -> Dataset:
 def datasets_with(store: Store, ref: ArtifactRef) -> Iterator[Dataset]:
     """Yield the datasets that name this content of an artifact or were computed from it.
 
-    Those of an older schema need other artifacts.  CorruptArtifact where the list of one cannot be read.
+    Datasets of an older schema need other artifacts. CorruptArtifact if the list of one cannot be read.
     """
     for path in _folders(store):
         with suppress(OlderSchema):
@@ -179,7 +179,7 @@ def next_version(store: Store, name: str) -> str:
 def _folders(store: Store, name: str = "*") -> list[Path]:
     """Return the folders of datasets by name, with numbered versions by number after the others.
 
-    Their lists, of 100,000 artifacts perhaps, are not read.
+    Their lists, which may have 100,000 artifacts, are not read.
     """
     return sorted((store.root / "datasets").glob(f"{name}@*"), key=_order)
 

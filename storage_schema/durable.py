@@ -32,7 +32,7 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 def cache_folder() -> Path:
     """Return the folder of caches: `$PASDEDEUX_CACHE`, else the user's cache.
 
-    A user without a home that can be written, as in containers, has a temporary folder.
+    Without a writable home, as in containers, it is a temporary folder.
     """
     if stated := os.environ.get("PASDEDEUX_CACHE"):
         return Path(stated).absolute()
@@ -51,7 +51,7 @@ def write_errors(where: Path) -> Iterator[None]:
     """Convert errors of the file system in this block to the store's errors.
 
     Raises:
-        FullDisk: No room, or the quota is used up.
+        FullDisk: There is no room left, or the quota is used up.
         StorageError: The place cannot be written to.
     """
     try:
@@ -73,7 +73,7 @@ def lock_file(handle: int, how: int, what: str) -> None:
     Args:
         handle: The open file.
         how: `fcntl.LOCK_SH` or `LOCK_EX`, with `LOCK_NB` to raise BlockingIOError at once.
-        what: What the lock stands for, in words.
+        what: The locked thing, in words.
     """
     try:
         fcntl.flock(handle, how | fcntl.LOCK_NB)
@@ -119,7 +119,7 @@ def locked_file(path: Path, how: int, what: str = "") -> Iterator[None]:
 class HashingFile(io.RawIOBase):
     """A new file, open for writing, that computes its digest and is synced to the disk when closed.
 
-    `num_bytes` and `sha256` say what was written so far.
+    `num_bytes` and `sha256` are those of the bytes written so far.
     """
 
     def __init__(self, path: Path) -> None:

@@ -25,7 +25,7 @@ def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
         table: Definition of the table.
         columns: For each column a list or array, rows first: (rows,) for single values, (rows, *axes) for arrays of a
             fixed shape, a list of 1-d arrays for arrays of varying length.  Text is str.  A nullable column may be left
-            out or hold None (or NaN, for numbers); NaN is a value elsewhere.  No column at all is a table without rows.
+            out or hold None (or NaN, for numbers); NaN is a value elsewhere.  Without any column the table has no rows.
 
     Numbers are narrowed to the column's type (float64 to float32); whole numbers are never rounded into it.
 

@@ -10,8 +10,8 @@ from typing import ClassVar
 class StorageError(Exception):
     """Root of every error that the store raises on purpose; the message is one clear sentence.
 
-    `is_input` tells a command line whether the user can put it right before any work starts (exit code 2) or whether
-    the work itself failed (exit code 1).
+    `is_input` distinguishes errors that the user can correct before any work starts (exit code 2) from failed work
+    (exit code 1).
     """
 
     is_input: ClassVar[bool] = False

@@ -33,11 +33,11 @@ class FolderStore(Store):
     def in_use(self, *, alone: bool = False) -> Iterator[None]:
         """Protect the store from garbage collection in this block; `alone`: nobody else may plan or build meanwhile.
 
-        Who uses a store waits until the one who has it alone is done; who wants it alone does not wait.  A store that
-        is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.
+        A user waits until a process that has the store alone is done; to get it alone, nothing waits. A store that does
+        not exist yet, or cannot be locked (read-only, or on a file system without locks), is used without a lock.
 
         Raises:
-            StorageError: Somebody uses the store that is wanted alone.
+            StorageError: Another process uses the store, and `alone` was requested.
         """
         with ExitStack() as held:
             try:
@@ -92,7 +92,7 @@ class FolderStore(Store):
         """Rename the staged folder to its place; return the artifact that is there in the end.
 
         Raises:
-            NamedByDataset: A dataset needs what is there, and this has other bytes.
+            NamedByDataset: A dataset needs the existing one, and the new one has other bytes.
         """
 
         def kept() -> ArtifactRef | None:

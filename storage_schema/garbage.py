@@ -25,7 +25,7 @@ _KEY = re.compile(r"[0-9a-f]{64}")
 class Stored:
     """The artifact under a key: creation time, inputs, and bytes on the disk with the manifest's.
 
-    A folder whose manifest is none counts by the time of its last change; what it was computed from is not known.
+    A folder with a damaged manifest counts with the time of its last change; its inputs are unknown.
     """
 
     place: StageKey
@@ -48,7 +48,8 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
 
     Raises:
         NewerSchema: The store was written by a newer program.
-        CorruptArtifact: A manifest may not be read, or that of what is kept is none: what it needs is not known.
+        CorruptArtifact: A manifest may not be read, or that of a kept artifact is damaged, so that its needs are
+            unknown.
     """
     store.check_version()
     store.clear_leftovers()

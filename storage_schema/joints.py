@@ -1,7 +1,7 @@
 """Joint names of the working skeletons, for the joint axes of stored columns.
 
-The science defines the skeletons; storage does not import the science, so the names stand here a second time and a test
-holds the two equal.
+The science defines the skeletons. Storage does not import the science, so the names are repeated here, and a test
+compares both.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ def canonical_json(value: Any, where: str = "value") -> bytes:
     """Return the canonical bytes of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
 
     Raises:
-        StorageError: The value, `where` in the message, holds something that JSON has no spelling for, such as NaN, an
-            array or a key that is no text.
+        StorageError: The value, `where` in the message, contains something that JSON lacks, such as NaN, an array or a
+            key that is not text.
     """
     try:
         spelled = _ENCODER.encode(value).encode()
@@ -92,10 +92,10 @@ def shard_key(
     """Return the key of a shard's artifact.
 
     Args:
-        partition: What a person sees as one step.
+        partition: The step that people see.
         name: Name of the shard in its partition.
-        parameters: JSON values that decide the result.
-        reads: Content digests of the artifacts that it reads, by what they are to it.
+        parameters: JSON values that determine the result.
+        reads: Content digests of the artifacts that it reads, by their role.
         files: The sha256 of the outside files that it reads.
         described: Stage, version, `after` and seed, as for `artifact_key`.
     """

@@ -1,7 +1,8 @@
 """The lease of a store in a bucket, which allows one build at a time: a file that its holder renews.
 
-A lease is renewed as long as its holder lives.  Nobody's clock is compared with another's: who finds it unchanged for
-`LEASE_S` of watching, or its holder dead on this machine, takes it, on the condition that it still is what was read.
+A lease is renewed as long as its holder is alive. No clocks are compared: a process takes the lease if it has watched
+it unchanged for `LEASE_S`, or if its holder was of this machine and is dead, and only if the lease is still as it was
+read.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class Lease:
         """Renew the lease.
 
         Raises:
-            StorageError: It was lost.
+            StorageError: The lease was lost.
         """
         if not self.renew():
             raise self.lost()

@@ -18,13 +18,13 @@ from storage_schema.store import Store
 def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]:
     """Return the current licence and credit of every source of these artifacts.
 
-    A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
-    the credits that the last runs say which have it on record, only those whose sources these are where some are.
-    Where none has, its sources have those that the last runs of all studies say of them, else those of the newest
-    dataset that they came with, else their own.
+    A study may later state another licence for the same bytes, and artifacts made from them are not computed again.
+    They get the credits stated by the last runs that have them on record, by those with these very artifacts if there
+    are some. If no run has them, their sources get the credits stated by the last runs of all studies, else those of
+    the newest dataset that contained them, else their own.
 
     Raises:
-        MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
+        MissingArtifact: An ancestor is no longer in the store, so that its licence is unknown.
     """
     runs = [{ref: ref for ref in last_run.refs()} for last_run in _last_runs(store)]
     mine = [run for run in runs if any(ref in run and run[ref].place == ref.place for ref in refs)]
@@ -62,7 +62,7 @@ def _there(store: Store, ref: ArtifactRef, runs: Iterable[Mapping[ArtifactRef, A
 def _as_it_came(store: Store, source: Manifest) -> tuple[SourceCredit, ...]:
     """Return the credits of a source from the newest dataset that needs it, else its own.
 
-    Where a source has another name there than it had, all that the dataset says: its own may be among them.
+    If the dataset has other names of sources, return all its credits, because the source may be among them.
     """
     datasets = sorted(datasets_with(store, source.ref), key=lambda dataset: dataset.created_at)
     if not datasets:
@@ -90,11 +90,11 @@ def create_dataset(
 ) -> Dataset:
     """Create a dataset: name a list of artifacts by a name and a version that never change.
 
-    Without a version it gets the next free number; `attachments` lie beside the list, such as a dataset card.
+    Without a version it gets the next free number; `attachments` are files beside the list, such as a dataset card.
 
     Raises:
         DatasetExists: This name and version are taken.
-        MissingArtifact: An artifact, or one that it came from, is not in the store.
+        MissingArtifact: An artifact or one of its ancestors is not in the store.
         StorageError: The list is empty.
         BadName: A name is not allowed.
         FullDisk: There is no room left.

@@ -33,9 +33,8 @@ _HEX_KEY = re.compile(r"[0-9a-f]{64}")
 class ArtifactRef:
     """Names one artifact: its stage, its key, and the digest of its content.
 
-    Two references are equal where stage and content are, whatever the keys: an artifact that was made anew with the
-    same content has another key, and nothing that was made of the old one may lose it for that.  The key says where
-    the artifact lies.
+    Two references are equal if stage and content are, whatever the keys: an artifact that is made again with the same
+        content has another key, and must still be found as an input. The key is the artifact's place.
     """
 
     stage: str
@@ -82,26 +81,26 @@ class Manifest:
 
     Args:
         ref: The artifact.
-        partition: What a person sees as one step: a take, a seed, a split.
+        partition: The step that people see: a take, a seed, a split.
         name: Name of the shard, unique in its partition.
         version: Version of the stage.
-        parameters: JSON values that decided the result.
+        parameters: JSON values that determined the result.
         seed: Seed of the study.
         inputs: Artifacts that were read.
         files: Outside files that were read: (file name, sha256).
-        reads: Places in `inputs` of what enters the key, by what it is to the shard; None where that is not known.
+        reads: Indices into `inputs` that enter the key, by their role in the shard; None if unknown.
         after: Keys of other shards that enter the key.
         tables: Parts of tables by table name; the file is `<table>.parquet`.
         attachments: Attached files by file name.
-        facts: Small JSON facts that whatever is downstream may read; they are part of the content.
-        sources: Licence and credit of what came in here; those of the inputs stand in theirs (`source_credits`).
+        facts: Small JSON facts for later stages; they are part of the content.
+        sources: Licence and credit of new sources; the inputs have their own (`source_credits`).
         schema_version: Version of the store's layout.
         code_version: Version of the installed program.
         source_digest: Digest of the program's sources.
         package_versions: Versions of the packages that can change a result.
-        timings: Seconds by name; in no digest.
-        created_at: When, in UTC; in no digest.
-        digest: The manifest's digest of itself, as it was read; empty in one that is new, or older than such digests.
+        timings: Seconds by name; they enter no digest.
+        created_at: Time of creation, UTC; enters no digest.
+        digest: The manifest's digest of itself, as read; empty in new manifests and in those of earlier releases.
     """
 
     ref: ArtifactRef
@@ -183,7 +182,7 @@ class Manifest:
     def from_json(cls, text: bytes, *, where: str) -> Manifest:
         """Parse the bytes of a manifest file; `where` is its name in messages.
 
-        A plan asks for 100,000 of them, so what was read becomes the fields as it stands.
+        A plan reads 100,000 manifests, so the parsed values become fields without conversion.
 
         Raises:
             NewerSchema: It was written by a newer version of the program.

@@ -27,8 +27,8 @@ _COMPRESSION_LEVEL = 3
 class TableWriter:
     """Writes the rows of one table to a new file as they come.
 
-    Rows are collected into row groups of `ROW_GROUP_ROWS`, so the file does not depend on how they were divided into
-    calls of `append`, and memory holds one row group at most beside the rows appended.
+    Rows are collected into row groups of `ROW_GROUP_ROWS`, so that the file does not depend on the calls of `append`,
+    and memory holds at most one row group beside the appended rows.
     """
 
     def __init__(self, path: Path, table: Table) -> None:
@@ -92,7 +92,7 @@ def read_table(
     """Read rows of a table, and only the row groups with these rows.
 
     Without `columns` or `rows` all are read; columns come in the order of the definition, and rows as in Python:
-    negative numbers count from the end and a long range is cut.
+    negative numbers count from the end, and a range beyond the end is cut.
 
     Raises:
         SchemaError: A column is not in the table, or the file was written with other columns.

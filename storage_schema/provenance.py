@@ -41,7 +41,7 @@ def package_versions() -> dict[str, str]:
 def source_digest() -> str:
     """Return the sha256 over the Python and TOML files of science, storage and tasks: their paths and bytes.
 
-    The flows are excluded: they decide when things run, not what comes out.
+    The flows are excluded, because they do not affect results.
     """
     digest = hashlib.sha256()
     for package in _OUR_PACKAGES:

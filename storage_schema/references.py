@@ -33,7 +33,7 @@ _HOW = "a reference is table@key, table:study/partition or table:dataset@version
 class Reference:
     """A parsed reference: text, table, and one of key prefix, study (perhaps with a partition), or dataset.
 
-    What begins no key is taken for the beginning of a content digest, by which tables refer to artifacts.
+    A prefix of no key is taken for that of a content digest, by which tables refer to artifacts.
     """
 
     table: str
@@ -71,8 +71,8 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
     """Return the artifacts that a reference names, in order.
 
     Raises:
-        UnknownReference: It names nothing, or a key prefix names more than one artifact; says what is there.
-        MissingArtifact: A recorded artifact of the stage that writes the table is no longer whole in the store.
+        UnknownReference: It names nothing, or a key prefix names several artifacts; lists what is there.
+        MissingArtifact: A recorded artifact of the stage that writes the table is no longer complete in the store.
     """
     if isinstance(reference, str):
         reference = parse_reference(reference)
@@ -96,7 +96,7 @@ def referenced_credits(store: Store, reference: Reference, refs: Sequence[Artifa
     """Return licence and credit of every source of a reference; a dataset keeps those that it was made with.
 
     Raises:
-        MissingArtifact: Something that the artifacts came from is no longer in the store.
+        MissingArtifact: An ancestor of the artifacts is no longer in the store.
     """
     if reference.dataset:
         return open_dataset(store, reference.dataset).sources
@@ -109,7 +109,7 @@ def open_table(
     """Read the rows that a reference names, such as `poses:duets/waltz` or `draws@3fa9#17`: the documented Python way.
 
     Args:
-        reference: What is read.
+        reference: The reference.
         store: Store or its folder; None is `$PASDEDEUX_STORE`, else the folder `store` here.
         columns: Columns to read, all when None.
 
@@ -117,7 +117,7 @@ def open_table(
         The rows, those of several shards one after another; `data["pair17_m"]` is a numpy array (rows, *axes).
 
     Raises:
-        UnknownReference: The reference names nothing, or more than one thing.
+        UnknownReference: The reference names nothing or several things.
         MissingArtifact: An artifact is not in the store.
         SchemaError: A column is not in the table.
     """
@@ -141,7 +141,7 @@ def iter_rows(
 def table_files(reference: Reference | str, store: Store | str | Path | None = None) -> list[Path]:
     """Return the Parquet files whose rows a reference names, for pandas, polars, DuckDB; raises what `resolve` raises.
 
-    The files are for reading only.  The number of a row, if the reference has one, does not count.
+    The files are for reading only. The row of a reference is ignored.
     """
     opened, parsed = _opened(reference, store)
     return [opened.table_path(ref, parsed.table) for ref in resolve(parsed, opened)]
@@ -150,7 +150,7 @@ def table_files(reference: Reference | str, store: Store | str | Path | None = N
 def find_rows(reference: Reference, store: Store) -> list[tuple[ArtifactRef, slice]]:
     """Return the artifacts that a reference names, with its rows in their parts of the table.
 
-    Raises what `resolve` raises, and UnknownReference where there is no such row.
+    Raises what `resolve` raises, and UnknownReference if there is no such row.
     """
     parts = [(ref, store.manifest(ref).tables[reference.table].rows) for ref in resolve(reference, store)]
     if reference.row is None:

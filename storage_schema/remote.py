@@ -1,8 +1,8 @@
 """Datasets in S3-compatible storage: pushes a version there, and pulls it into any store.
 
-They lie there as in a store in a bucket (`bucket_layout`), and may be those of one.  What can be seen is whole, whoever
-else pushes, and a push that was cut off goes on where it ended.  Earlier releases pushed in another form, which is
-read: `files/<sha256>`, `artifacts/<stage>/<key>-<digest>`, and the list as JSON with the sha256 of the files beside it.
+They have the layout of a store in a bucket (`bucket_layout`), and may belong to one. Visible datasets are complete,
+whoever else pushes, and an interrupted push continues where it ended. The form of earlier releases is read, too:
+`files/<sha256>`, `artifacts/<stage>/<key>-<digest>`, and the list as JSON with the sha256 of the other files.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from storage_schema.tables import TABLES
 def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Mapping[str, bytes] | None = None) -> int:
     """Push a dataset with all its ancestors to a bucket; return the number of new artifacts.
 
-    `files` go with it, by name, in place of those in its folder.
+    `files`, by name, replace those in its folder.
 
     Raises:
         DatasetExists: Another dataset has this name and version there.
-        CorruptArtifact, MissingArtifact: An artifact is not whole in the store; nothing of it is pushed.
+        CorruptArtifact, MissingArtifact: An artifact is not complete in the store; nothing of it is pushed.
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
     manifests = _closure(remote, dataset.refs, store.manifest)
@@ -67,7 +67,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     Raises:
         UnknownReference: There is no such dataset; says which there are.
         DatasetExists: The store has another dataset of this name and version.
-        CorruptArtifact: Bytes that came are not those that the manifest names, or the store has others under a key.
+        CorruptArtifact: Received bytes do not match the manifest, or the store has others under a key.
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
     label = _chosen(remote, label)

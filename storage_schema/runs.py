@@ -1,8 +1,8 @@
 """Records of runs: a folder per run, and for each study the artifacts of its last run.
 
-`runs/<run_id>/` holds what a person looks up later: resolved study, plan, environment, report.
-`runs/latest/<study>.json` says for each stage which shards it consisted of, from which parameters and inputs: enough to
-say why something is stale.  `runs/latest/<study>.html` is a copy of the study's last report, under a path that stays.
+`runs/<run_id>/` holds the resolved study, the plan, the environment and the report. `runs/latest/<study>.json` has the
+shards of each stage with their parameters and inputs, to explain why something is stale. `runs/latest/<study>.html` is
+a copy of the study's last report under a permanent path.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def read_latest(store: Store, study: str) -> LatestRun | None:
 def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Sequence[ShardRecord]]) -> LatestRun:
     """Record the artifacts of these stages in a run; records of other stages stay.
 
-    A reader sees the old record or the new one, nothing between, and runs that record at the same time wait in line.
+    Readers see the old record or the new one; concurrent runs record one after the other.
     """
     path = _latest_path(store, study)
     store.prepare()

@@ -1,9 +1,8 @@
 """Temporary folders of a store: hold unfinished files, and are removed after a crash.
 
-A folder's owner holds a lock on a file beside it for as long as it lives; the system frees the lock when the process
-dies, however it dies.  So a folder whose lock can be taken belongs to nobody.  Locks are trusted on the owner's host
-only; on a shared file system another host's leftovers go when nothing in them has changed for a week, by the clock of
-that file system.
+The owner of a folder holds a lock on a file beside it; the system frees the lock when the process dies, however it
+dies. So a folder whose lock can be taken has no owner. Locks are trusted on the owner's host only; leftovers of another
+host on a shared file system are removed when nothing in them has changed for a week, by the clock of that file system.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ class StagingFolder:
     def take_place(self, target: Path) -> None:
         """Exchange the folder with another one of the store.
 
-        That is one step; where the file system has none for it, who dies between the two leaves the other folder aside,
-        and whoever clears up puts it back.
+        This is one step if the file system supports it; else a process that dies in between leaves the other folder
+        aside, and the next clean-up restores it.
         """
         if not target.is_dir():
             target.unlink(missing_ok=True)

@@ -1,9 +1,9 @@
 """The artifact store: finds, reads and commits artifacts, shared by many processes.
 
 Layout of a store's folder: `<root>/<stage>/<key[:2]>/<key>/` holds `<table>.parquet` files, attachments and
-`manifest.json`; `tmp/` holds what is being written, `runs/` and `datasets/` what runs and people say about artifacts.
-An artifact appears under its key in one step after everything in it has reached the disk, so it is whole or absent,
-whatever is killed.  A store in S3-compatible storage is read through such a folder on this machine, its mirror.
+`manifest.json`; `tmp/` holds unfinished files, `runs/` and `datasets/` the records of runs and datasets. An artifact
+appears under its key in one step, after all its files are synced to the disk, so it is complete or absent after any
+kill. A store in S3-compatible storage is read through such a folder on this machine, its mirror.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _log = logging.getLogger(__name__)
 class Store:
     """Finds, reads and commits artifacts: `Store(place)` is a `FolderStore` or a `BucketStore`, by the place.
 
-    Picklable: it is only its place, which is also its text.
+    Picklable by its place, which is also its text.
 
     Args:
-        place: Folder of the store, or `s3://BUCKET/PREFIX`; made when something is first written.
+        place: Folder of the store, or `s3://BUCKET/PREFIX`; created at the first write.
     """
 
     root: Path
@@ -97,7 +97,7 @@ class Store:
         """Protect the store from garbage collection in this block; `alone`: nobody else may plan or build meanwhile.
 
         Raises:
-            StorageError: Somebody uses the store that is wanted alone.
+            StorageError: Another process uses the store, and `alone` was requested.
             RemoteError: It does not answer.
         """
         raise NotImplementedError
@@ -112,7 +112,8 @@ class Store:
     def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
         """Return the local path of a data file of an artifact, for reading only.
 
-        CorruptArtifact where it is gone or damaged, or its name would lead out of the artifact's folder.
+        It is fetched if necessary. CorruptArtifact if it is missing or damaged, or its name would lead out of the
+        artifact's folder.
         """
         raise NotImplementedError
 
@@ -165,8 +166,8 @@ class Store:
     def find(self, stage: str, key: str) -> Manifest | None:
         """Return the artifact's manifest if it is valid and its files have the right sizes, else None.
 
-        An artifact whose tables have other columns than this program declares is not valid either.  NewerSchema where
-        the store was written by a newer program.
+        An artifact whose tables have other columns than this program declares is not valid either. NewerSchema if the
+        store was written by a newer program.
         """
         self.check_version()
         self.bring(stage, key)
@@ -215,7 +216,7 @@ class Store:
 
         Raises:
             MissingArtifact: The artifact, or this table of it, is not in the store.
-            CorruptArtifact: A file is not what its manifest says.
+            CorruptArtifact: A file does not match its manifest.
             SchemaError: A column is unknown, or the file was written with other columns.
         """
         table_data = read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
@@ -322,15 +323,16 @@ class Store:
     ) -> ArtifactRef:
         """Write an artifact under its key in one step.
 
-        When a valid artifact is already there (another process was first) this one is discarded and that one is given,
-        unless this one `replaces` it: then both change places in one step, and a reader always finds one of them whole.
+        If a valid artifact is already there (another process was first), this one is discarded and the other returned,
+        unless this one `replaces` it: then they are exchanged in one step, and readers always find one of them
+        complete.
 
         Args:
             tables: For each table its columns: name to list or array, rows first (see `encoding.encode`).
             attachments: Files of their own format, by file name.
-            facts: Small JSON facts that whatever is downstream may read.
-            sources: Licence and credit of what comes in with this artifact, not of its inputs.
-            described: What the artifact says about itself.
+            facts: Small JSON facts for later stages.
+            sources: Licence and credit of new sources, not of the inputs.
+            described: The description of the artifact.
 
         Raises:
             SchemaError: A column is missing, unknown, of another length, shape or kind.
@@ -349,7 +351,7 @@ class Store:
     def measure(self) -> None:
         """Start the clocks for `timings` of artifacts: wall clock and processor time from now, seconds.
 
-        Both are of this thread, so that shards beside it in the same worker do not count.
+        Both are those of this thread, so that other shards in the same worker do not count.
         """
         self._begun.at_s = (time.perf_counter(), time.thread_time())
 
@@ -363,7 +365,7 @@ class Store:
     ) -> Iterator[ArtifactWriter]:
         """Write an artifact piece by piece: rows are streamed to the disk, and the end of the block commits.
 
-        When the block raises, nothing stays behind.  Arguments and errors are those of `commit`.
+        If the block raises, nothing is left. Arguments and errors are those of `commit`.
         """
         stage = described["stage"]
         if not _STAGE_NAME.fullmatch(stage) or stage in RESERVED_NAMES:
@@ -390,7 +392,7 @@ class Store:
     def drop_damaged(self, manifest: Manifest) -> bool:
         """Remove an artifact whose files do not match its manifest, so that the next run computes it again.
 
-        For who builds; tells whether anything was removed.  A damaged copy of a whole file goes alone.
+        For builds. Return whether anything was removed; of a damaged local copy only the copy is removed.
         """
         if self.drop_copies(manifest):
             return True
@@ -406,10 +408,10 @@ class Store:
     def stays(self, present: Manifest, new: Manifest, *, replaces: bool, are_files_new: bool = False) -> bool:
         """Return whether an existing artifact keeps its place against a new one under its key.
 
-        `are_files_new` where its files, if they are the same, have just been written again.
+        `are_files_new`: its files, if they are the same, have just been written again.
 
         Raises:
-            NamedByDataset: It does not, and a dataset needs it.
+            NamedByDataset: It would be replaced, and a dataset needs it.
         """
         ref, is_valid = new.ref, not self.outdated_tables(present)
         if present.ref.content_digest == ref.content_digest:

@@ -1,10 +1,10 @@
 """Unpacked clips: rows of fixed width in flat files, so that any few rows are read in one system call.
 
-A Parquet file gives a row only with the thousands that are compressed with it.  What is read in any order, again and
-again, such as windows to train on, is therefore unpacked once into a folder of the cache, a third larger than the
-Parquet files.  None of its motion stays in memory; what the system caches of the files it takes back where memory is
-short.  Folders are named by the digest of what they hold, so none grows stale; any may be removed at any time, and `gc`
-removes those that nobody has used for a while: a folder's time is that of its last use.
+In a Parquet file, a row is compressed with thousands of others. Clips that are read repeatedly in any order, such as
+windows for training, are therefore unpacked once into a folder of the cache, a third larger than the Parquet files. No
+motion stays in the memory of the process; the system's file cache shrinks when memory is short. Folders are named by
+the digest of their content, so none becomes stale. Any may be removed at any time, and `gc` removes those that were not
+used for a while: the mtime of a folder is that of its last use.
 """
 
 from __future__ import annotations

@@ -9,7 +9,8 @@ from typer import Option
 
 from flows.console import options
 from flows.console.context import app, echo, open_store, say
-from flows.exports import EXPORT_FORMATS, Rate, RestPose, Units, export_reference, export_selection
+from flows.exports import EXPORT_FORMATS, export_reference, export_selection
+from flows.exports.export_format import Rate, RestPose, Units
 from pasdedeux.verdict import Level
 from storage_schema import parse_reference
 from tasks.data import LOOK, Data, player_page

@@ -13,7 +13,7 @@ from typer import Argument, Option
 from flows.console import options
 from flows.console.context import app, echo, say
 from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
-from flows.exports import write_credits
+from flows.exports.credits import write_credits
 from flows.exports.own_skeletons import RigFiles, people_of_take
 from pasdedeux.augmentation import Variant
 from pasdedeux.errors import InputError

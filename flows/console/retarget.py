@@ -14,8 +14,8 @@ from flows.console import options
 from flows.console.context import app, busy, echo, say
 from flows.console.display import format_table
 from flows.console.inputs import RateOption, TakeArgument, UnitOption, find_model, find_take, known_take
-from flows.exports import RestPose, Units, write_credits
-from flows.exports.export_format import write_text
+from flows.exports.credits import write_credits
+from flows.exports.export_format import RestPose, Units, write_text
 from flows.exports.own_skeletons import RigFiles, TakePerson, people_of_take
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.source import complete_scales

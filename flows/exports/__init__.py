@@ -21,19 +21,6 @@ from storage_schema.encoding import encode
 from tasks.curation import IDENTITY, choices_for, content_of, rejections
 from tasks.selection import READS, select_pairs
 
-__all__ = [
-    "EXPORT_FORMATS",
-    "Export",
-    "ExportFormat",
-    "Rate",
-    "RestPose",
-    "Units",
-    "export_format",
-    "export_reference",
-    "export_selection",
-    "write_credits",
-]
-
 EXPORT_FORMATS = {
     "npz": "flows.exports.npz_table",
     "csv": "flows.exports.csv_table",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from flows.exports import overlay_video
 from flows.exports.export_format import write_film
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.pictures import PERSON_COLOURS
+from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
+from pasdedeux.skeletons import BODY22
 from tests.builders.browser import open_page
 
 COUNT, HEIGHT, WIDTH = 25, 121, 163
@@ -66,9 +68,22 @@ def test_a_browser_plays_an_exported_film(tmp_path: Path) -> None:
     assert seen == f"{WIDTH - 1}x{HEIGHT - 1} {COUNT / 24:.1f}"
 
 
-def test_people_have_the_colours_of_the_report() -> None:
-    for blue_green_red, told in zip(overlay_video._COLOURS, PERSON_COLOURS, strict=True):
-        assert "#{2:02x}{1:02x}{0:02x}".format(*blue_green_red) == told
+def test_people_have_the_colours_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    people, size = len(PERSON_COLOURS), (640, 480)
+    positions_m = np.random.default_rng(0).normal(0.0, 0.3, (1, people, BODY22.num_joints, 3))
+    given_px = 300.0 + 200.0 * positions_m[..., :2] * [1.0, -1.0]
+    is_given = np.isin(np.arange(BODY22.num_joints), [0, 8]) & np.ones(
+        (1, people, 1), bool
+    )  # no bone of the annotation
+    monkeypatch.setattr(overlay_video, "_annotation", lambda *_: (given_px, is_given, size, 30.0))
+    monkeypatch.setattr(overlay_video, "_bodies", lambda *_: [None] * people)
+    seen = SimpleNamespace(frames=[0], positions_m=positions_m, skeleton=BODY22, is_pair=False)
+    export, cast = SimpleNamespace(store=None, footage=None), SimpleNamespace(labels=())
+    (image,) = overlay_video._drawn(export, cast, seen)  # type: ignore[arg-type]
+    background = np.array(overlay_video._BACKGROUND)
+    for colour in PERSON_COLOURS:
+        drawn = background + overlay_video._OPAQUE * (np.array(rgb(colour)[::-1]) - background)
+        assert (np.abs(image - drawn).max(axis=-1) <= 1.0).sum() > 100, colour
 
 
 def test_a_film_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:

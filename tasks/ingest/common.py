@@ -13,6 +13,11 @@ ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 """Pattern of names of takes and sources."""
 
 
+def frames_in(seconds: float, rate_hz: float) -> int:
+    """Return the number of frames in some seconds from the start of a take or sequence, at least 2."""
+    return max(2, round(seconds * rate_hz))
+
+
 def one_of(names: Iterable[str]) -> AfterValidator:
     """Return a validator that accepts names in a registry and "auto"; its error lists the allowed names."""
     allowed = ("auto", *names)

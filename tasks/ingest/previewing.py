@@ -8,6 +8,7 @@ from pasdedeux.arrays import Array
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22
+from tasks.ingest.common import frames_in
 from tasks.ingest.parameters import IngestParameters
 from tasks.ingest.plan import plan
 from tasks.ingest.takes.parameters import TakeOptions
@@ -41,7 +42,7 @@ def _cut(whole: IngestParameters, take: TakeOptions, seconds: float) -> TakeOpti
     start_s = nearest_seconds(captured.people_m[:, :2], captured.rate_hz, seconds)
     own_hz = captured.people[0].rate_hz
     first = round(start_s * own_hz)
-    return take.model_copy(update={"frames": (first, first + max(2, round(seconds * own_hz)))})
+    return take.model_copy(update={"frames": (first, first + frames_in(seconds, own_hz))})
 
 
 def nearest_seconds(pair_m: Array, rate_hz: float, seconds: float) -> float:

@@ -17,7 +17,7 @@ from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.image_names import STILLS_STEP, places_of_names
 from pasdedeux.plain_text import counted
 from tasks.ingest.files import find_file
-from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture
+from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture, stated_rate_hz
 from tasks.stage import SourceFile
 from tasks.user_files import open_file
 
@@ -267,25 +267,22 @@ def _scanned(files: tuple[SourceFile, ...], first_number: int) -> Film:
         import cv2  # here: a quarter of a second that planning does not need
 
         capture = _opened(Path(files[0].path))
-        stated_hz, stated = (
-            float(capture.get(property_id)) for property_id in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT)
-        )
+        rate_hz, stated = stated_rate_hz(capture), float(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         capture.release()
-        num_lost = _num_lost(Path(files[0].path), stated, stated_hz, times)
-        rate_hz = stated_hz if 0 < stated_hz <= 1000 else None
+        num_lost = _num_lost(Path(files[0].path), stated, rate_hz, times)
         if (np.diff(times) > 0).all():
             rate_hz, is_constant = constant_rate_hz(np.array(times))
     return Film(files, first_number, size, rate_hz, is_constant, tuple(finder.starts()), tuple(times), num_lost)
 
 
-def _num_lost(path: Path, stated: float, stated_hz: float, times_s: Sequence[float]) -> int:
+def _num_lost(path: Path, stated: float, stated_hz: float | None, times_s: Sequence[float]) -> int:
     """Return how many stated frames of a film cannot be read; 0 if its times reach the stated length.
 
     For containers without a count of frames the stated number is length times rate, which is too large if sound is
     longer than the images or the rate varies.  Matroska and WebM files are cut off if they are shorter than their
     segment.
     """
-    if not (len(times_s) < round(stated) < 1e9 and 0 < stated_hz <= 1000):
+    if stated_hz is None or not len(times_s) < round(stated) < 1e9:
         return 0
     is_cut = _is_cut_matroska(path)
     if is_cut is None:

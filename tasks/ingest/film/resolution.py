@@ -21,6 +21,7 @@ from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, 
 from pasdedeux.formats.detections import Detection, Footage, join_detections
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations
 from pasdedeux.skeletons import PAIR17
+from tasks.ingest.common import frames_in
 from tasks.ingest.files import find_file, read_again
 from tasks.ingest.film.detector_files import find_network
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
@@ -99,6 +100,8 @@ class CorrectedShot:
         self.shot, times = _annotated(parameters, files)
         self._times_s = np.array(times)
         self._first = parameters.first_number + parameters.first_frame
+        assert self.shot.frames.rate_hz is not None
+        self._rate_hz = self.shot.frames.rate_hz
         self._begun = self.placed()
 
     def changes_px(self) -> dict[tuple[int, int], Array]:
@@ -114,26 +117,22 @@ class CorrectedShot:
 
     def placed(self) -> AnnotatedFrames:
         """Return the annotations at a constant rate, for ingest."""
-        frames = self.shot.frames
         if self._parameters.is_constant_rate:
-            return frames
-        assert frames.rate_hz is not None
-        return at_constant_rate(frames, self._first, self._times_s, frames.rate_hz)
+            return self.shot.frames
+        return at_constant_rate(self.shot.frames, self._first, self._times_s, self._rate_hz)
 
     def film_frame(self, frame: int) -> int:
         """Return the frame of the film that a frame of `placed` shows."""
         if self._parameters.is_constant_rate:
             return frame
-        assert self.shot.frames.rate_hz is not None
-        return self._first + max(image_at(first_shown(self._times_s, self.shot.frames.rate_hz), frame), 0)
+        return self._first + max(image_at(first_shown(self._times_s, self._rate_hz), frame), 0)
 
     def next_frames(self, count: int) -> list[int]:
         """Return the frames of `placed` whose correction helps most, most first."""
-        frames, rate_hz = frames_to_correct(self.shot, count), self.shot.frames.rate_hz
+        frames = frames_to_correct(self.shot, count)
         if self._parameters.is_constant_rate:
             return frames
-        assert rate_hz is not None
-        return [int(first_shown(self._times_s[frame - self._first], rate_hz)) for frame in frames]
+        return [int(first_shown(self._times_s[frame - self._first], self._rate_hz)) for frame in frames]
 
     def correct(self, frame: int, person_id: int, joint: str, point_px: Array) -> None:
         """Place a joint of pair17 in a frame of the film, and track it again between the known frames.
@@ -278,7 +277,7 @@ def _shots_of(
     )
     shots = []
     for index, (start, stop) in enumerate(pairwise(starts)):
-        length = stop - start if take_seconds is None else min(stop - start, max(2, round(take_seconds * rate_hz)))
+        length = stop - start if take_seconds is None else min(stop - start, frames_in(take_seconds, rate_hz))
         parameters = FilmParameters(
             **common,
             id=base if len(starts) == 2 else f"{base}.shot{index:02d}",

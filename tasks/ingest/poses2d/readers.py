@@ -205,10 +205,15 @@ def read_header(video: Path) -> Footage:
         width, height = (
             int(capture.get(property_id)) for property_id in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         )
-        rate_hz = float(capture.get(cv2.CAP_PROP_FPS))
+        rate_hz = stated_rate_hz(capture)
     finally:
         capture.release()
-    return Footage(
-        image_size_px=(width, height) if width > 0 and height > 0 else None,
-        rate_hz=rate_hz if 0 < rate_hz <= 1000 else None,
-    )
+    return Footage((width, height) if width > 0 and height > 0 else None, rate_hz)
+
+
+def stated_rate_hz(capture: Any) -> float | None:
+    """Return the rate in the header of an opened video; None if it is not plausible."""
+    import cv2
+
+    rate_hz = float(capture.get(cv2.CAP_PROP_FPS))
+    return rate_hz if 0 < rate_hz <= 1000 else None

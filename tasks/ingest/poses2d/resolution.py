@@ -14,6 +14,7 @@ from pasdedeux.formats.own_layout import read_layout
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, check_sequences, read_decisions, write_decisions
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people
+from tasks.ingest.common import frames_in
 from tasks.ingest.files import find_file, load_file, read_again
 from tasks.ingest.poses2d.parameters import SOURCE_FILES, AnnotationOptions, AnnotationParameters
 from tasks.ingest.poses2d.readers import CameraFiles, find_cameras, read_header, video_beside
@@ -223,4 +224,4 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
     frames = read_given(parameters, files, stated, video=video)
     if parameters.take_seconds is None:
         return frames
-    return frames.start_of_each(max(2, round(parameters.take_seconds * (frames.rate_hz or DEFAULT_RATE_HZ))))
+    return frames.start_of_each(frames_in(parameters.take_seconds, frames.rate_hz or DEFAULT_RATE_HZ))

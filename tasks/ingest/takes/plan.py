@@ -15,7 +15,7 @@ from pasdedeux.formats.rates import one_rate
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
 from pasdedeux.plain_text import counted
-from tasks.ingest.common import INGEST
+from tasks.ingest.common import INGEST, frames_in
 from tasks.ingest.files import LoadedFile, load_file
 from tasks.ingest.parameters import IngestParameters, SkippedParameters
 from tasks.ingest.takes.known_sources import DUET_CREDIT, known_performance
@@ -262,7 +262,7 @@ def _cut(take: TakeOptions, people: Sequence[PersonSource], take_seconds: float 
         )
     duration = min(durations)
     if take_seconds is not None:
-        duration = min(duration, max(2, round(take_seconds * rates[0])) / rates[0])
+        duration = min(duration, frames_in(take_seconds, rates[0]) / rates[0])
     parts = []
     for person, begin, rate_hz in zip(people, begins, rates, strict=True):
         first = int(begin + _ALMOST)

@@ -1,1 +1,1 @@
-"""People in film: shots, tracking of joints between key frames, filling, what to correct next, detectors, overlays."""
+"""People in film: shots, tracking of joints between key frames, filling gaps, corrections, detectors, drawings."""

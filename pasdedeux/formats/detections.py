@@ -375,7 +375,7 @@ def detections_of_joints(
 ) -> list[Detection]:
     """Return detections of people, by video, frame and number, whose joints have names.
 
-    A joint has x, y, confidence and `KeypointStatus`.  Where the status of one is NaN, the person has none.
+    A joint has x, y, confidence and `KeypointStatus`.  If the status of a joint is NaN, its person has none.
     """
     names = names_in_order(name for joints in people.values() for name in joints)
     missing = (math.nan, math.nan, 0.0, float(KeypointStatus.MISSING))

@@ -1,1 +1,1 @@
-"""Who is who in 2D detections, once for everything that follows: identities, faults of detectors, and pairs."""
+"""People in 2D detections, resolved once for all later stages: identities, repair of detector faults, and pairs."""

@@ -1,1 +1,1 @@
-"""Film of the user's own, annotated in every frame."""
+"""Film of the user, annotated in every frame."""

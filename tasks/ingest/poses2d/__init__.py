@@ -1,1 +1,1 @@
-"""2D poses of the user's own."""
+"""2D poses of the user."""

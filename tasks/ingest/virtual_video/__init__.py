@@ -1,1 +1,1 @@
-"""Virtual cameras that see takes."""
+"""Virtual video: annotations of takes by virtual cameras."""

@@ -55,7 +55,7 @@ _LAYOUT = KeypointLayout(
 Columns = dict[str, Any]
 
 _MISSED = 0.1
-"""Share of the joints that a detector misses, each on its own."""
+"""Share of the joints that a detector misses, drawn independently."""
 _NUM_JUNK_JOINTS = 3
 """Number of joints of each person and frame at random places of the image, with a confidence below 0.2."""
 _PASSER_BY_SHARE = 0.25
@@ -208,7 +208,7 @@ def _detect(
 def _detected(sequence_id: str, resolved: ResolvedSequence, true_id: np.ndarray) -> tuple[Columns, DetectedSequence]:
     """Return the columns of a detector's sequence, and scores of the identities.
 
-    A resolved person gets the number of the true person who it is most often; others get numbers after those.
+    A resolved person gets the number of its most frequent true person; others get numbers after those.
     """
     people, person = np.unique(resolved.rows.person_id, return_inverse=True)
     counts = np.zeros((len(people), int(true_id.max()) + 1), dtype=np.int64)

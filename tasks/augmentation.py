@@ -82,14 +82,14 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
     for take_id, take in takes.items():
         by_name = variations(parameters, TakeFacts.of(take).num_persons)
         if not any(by_name.values()):
-            asked = tuple(sorted({who for own in sections.values() for who in own.persons}))
+            asked = tuple(sorted({who for section in sections.values() for who in section.persons}))
             nobody = NobodyParameters(persons=asked, num_persons=TakeFacts.of(take).num_persons)
             shards.append(AUGMENTATION.shard(inputs, take_id, "nobody", nobody, {"take": [take]}))
-        for name, own in sections.items():
-            stated = own.contacts.get(take_id, TakeFacts.of(take).contacts)
+        for name, section in sections.items():
+            stated = section.contacts.get(take_id, TakeFacts.of(take).contacts)
             for start in range(0, len(by_name[name]), _PER_SHARD):
                 batch = tuple(variation.variant_id for variation in by_name[name][start : start + _PER_SHARD])
-                solved = BatchParameters(**own.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
+                solved = BatchParameters(**section.model_dump(exclude=_OF_THE_PLAN), contacts=stated, variants=batch)
                 shards.append(
                     AUGMENTATION.shard(inputs, take_id, f"{batch[0]} to {batch[-1]}", solved, {"take": [take]})
                 )
@@ -104,8 +104,8 @@ def variations(parameters: AugmentationParameters, num_people: int) -> dict[str,
     """
     by_take: dict[str, list[Variation]] = {}
     by_id: dict[str, str] = {}
-    for name, own in {"": parameters, **parameters.swept()}.items():
-        by_take[name] = make_variations(own, num_people)
+    for name, section in {"": parameters, **parameters.swept()}.items():
+        by_take[name] = make_variations(section, num_people)
         for variation in by_take[name]:
             if (other := by_id.setdefault(variation.variant_id, name)) != name:
                 raise InputError(

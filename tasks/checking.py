@@ -102,9 +102,9 @@ def files_below(paths: Iterable[Path]) -> list[Path]:
     files: dict[Path, None] = {}
     for path in paths:
         if path.is_dir():
-            named = [one for one in sorted(path.rglob("*")) if one.suffix.lower() in SUFFIXES and one.is_file()]
-            ranked = sorted(named, key=lambda one: SUFFIXES.index(one.suffix.lower()))
-            first = {one.with_suffix(""): one for one in reversed(ranked)}
+            named = [file for file in sorted(path.rglob("*")) if file.suffix.lower() in SUFFIXES and file.is_file()]
+            ranked = sorted(named, key=lambda file: SUFFIXES.index(file.suffix.lower()))
+            first = {file.with_suffix(""): file for file in reversed(ranked)}
             files |= dict.fromkeys(sorted(first.values()))
         elif path.exists():
             files[path] = None
@@ -190,8 +190,8 @@ def source_of(name: str, sources: Sequence[MotionFiles]) -> MotionFiles | None:
     >>> source_of("waltz_B-0.80", []) is None
     True
     """
-    fitting = [one for one in sources if re.match(rf"{re.escape(one.name)}(?![A-Za-z0-9])", name)]
-    return sources[0] if len(sources) == 1 else max(fitting, key=lambda one: len(one.name), default=None)
+    fitting = [source for source in sources if re.match(rf"{re.escape(source.name)}(?![A-Za-z0-9])", name)]
+    return sources[0] if len(sources) == 1 else max(fitting, key=lambda source: len(source.name), default=None)
 
 
 def check_motion(motion: MotionFiles, original: MotionFiles | None = None) -> Checked:

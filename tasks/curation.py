@@ -328,7 +328,7 @@ class Choosing:
         """Return what was chosen of clips of a thing, by first and last frame, in order; nothing where none can be."""
         chosen = (choice for choice in read_choices(self.path).values() if choice.table == table and table in CLIPPED)
         by_clip = {clip_of(choice.name): choice for choice in chosen}
-        return dict(sorted((frames, one) for (whole, frames), one in by_clip.items() if whole == name and frames))
+        return dict(sorted((frames, choice) for (whole, frames), choice in by_clip.items() if whole == name and frames))
 
     def words(self, table: str, name: str, content: str) -> str:
         """Return what was chosen in words, and whether it was of this content."""

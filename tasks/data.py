@@ -135,12 +135,12 @@ class Clip:
     @property
     def picture(self) -> Picture:
         """What the player shows: the clip, a variant beside its source, with contacts."""
-        clips = [one for one in (self.source, self) if one is not None]
+        clips = [clip for clip in (self.source, self) if clip is not None]
         frames, rate_hz = shown_frames(min(len(clip.positions_m) for clip in clips), self.rate_hz)
         panels = []
-        for one in clips:
-            links = links_of(one._contacts, one.positions_m)[frames]
-            panels.append(people_panel(one.name, self.skeleton, one.positions_m[frames], links))
+        for clip in clips:
+            links = links_of(clip._contacts, clip.positions_m)[frames]
+            panels.append(people_panel(clip.name, self.skeleton, clip.positions_m[frames], links))
         where = " (left: its source)" if self.source is not None else ""
         where += "; contacts are green" if self._contacts.weights.size else ""
         times = times_shown(frames, len(self.positions_m), self.rate_hz)
@@ -284,7 +284,7 @@ class Data:
             return [motion.picture for motion in islice(filter(None, motions), _MAX_PLAYERS)]
         of_table = {"poses": self._takes, "variants": self.all_variants}
         clips = of_table[table](reference) if table in of_table else ()
-        return [one.picture for one in islice(self._kept(reference, clips), _MAX_PLAYERS)]
+        return [clip.picture for clip in islice(self._kept(reference, clips), _MAX_PLAYERS)]
 
     def _kept(self, reference: str, clips: Iterable[Clip]) -> Iterator[Clip]:
         left_out = self.left_out(reference)
@@ -305,7 +305,7 @@ class Data:
             take = take_of(self.store, ref)
             source = takes.setdefault(take, self._take(take))
             quality = self.store.read(ref, "variant_quality", columns=["variant_id", "verdict"])
-            for index, (name, verdict) in enumerate(zip(*(quality[one] for one in quality), strict=True)):
+            for index, (name, verdict) in enumerate(zip(*(quality[column] for column in quality), strict=True)):
                 yield Clip(f"{source.name}, {name}", source.take, self.store, source, part, index, str(verdict))
 
 

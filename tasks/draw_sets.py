@@ -89,7 +89,7 @@ def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawS
 
 def baselines_of(sets: Mapping[str, DrawSet]) -> list[str]:
     """Return the names of the sets that no annotation shaped."""
-    return [name for name, found in sets.items() if not found.knows_annotations]
+    return [name for name, drawn in sets.items() if not drawn.knows_annotations]
 
 
 def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:

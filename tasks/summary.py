@@ -59,7 +59,7 @@ _THINGS = (
 def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
     in_order = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
-    told = [(one, facts_of(one)) for one in in_order]
+    told = [(manifest, facts_of(manifest)) for manifest in in_order]
     parts = {
         thing: [
             (manifest, facts) for manifest, facts in told if thing.table in manifest.tables and thing.is_in(manifest)
@@ -68,11 +68,11 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     }
     chains = stage_verdict(manifest for manifest in in_order if "chain_info" in manifest.tables)
     verdicts = dict(sorted(_by_stage(in_order).items(), key=lambda named: -named[1].level.rank))
-    sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in in_order for s in one.sources}}
+    sources = {Credit(s.name, s.licence, s.credit) for s in {s for manifest in in_order for s in manifest.sources}}
     return Summary(
         made=[made for thing, own in parts.items() if (made := _made(thing, own, chains)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
-        skipped=folded(sorted({sentence for one, facts in told for sentence in _skipped(one, facts)})),
+        skipped=folded(sorted({sentence for manifest, facts in told for sentence in _skipped(manifest, facts)})),
         verdicts=verdicts,
     )
 
@@ -152,8 +152,8 @@ def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
 def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdict | None) -> Made:
     """Count a thing in its artifacts; seconds are of motion, where its artifacts say how many frames it has."""
     count, seconds = 0, math.nan
-    for one, facts in parts:
-        rows = one.tables[thing.table].rows
+    for manifest, facts in parts:
+        rows = manifest.tables[thing.table].rows
         if isinstance(facts, LiftedFacts):
             amount = facts.num_lifted
         else:  # a model counts as one, also where it has no arrays
@@ -166,7 +166,7 @@ def _made(thing: _Thing, parts: Sequence[tuple[Manifest, Facts]], chains: Verdic
             length = times * facts.num_frames / facts.rate_hz
             seconds = length if math.isnan(seconds) else seconds + length
     independent = _independent(thing, [facts for _, facts in parts], chains)
-    return Made(thing.name, count, seconds, sum(one.num_bytes for one, _ in parts), independent)
+    return Made(thing.name, count, seconds, sum(manifest.num_bytes for manifest, _ in parts), independent)
 
 
 def _independent(thing: _Thing, facts: Sequence[Facts], chains: Verdict | None) -> tuple[int, str] | None:

@@ -21,15 +21,15 @@ class SweptParameters(Parameters):
     @field_validator("sweep")
     @classmethod
     def _is_flat(cls, sweep: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        for name, own in sweep.items():
-            if "sweep" in own:
+        for name, section in sweep.items():
+            if "sweep" in section:
                 raise ValueError(f"'{name}' sets sweep, and a sweep has no sweeps")
         return sweep
 
     def swept_values(self) -> dict[str, dict[str, Any]]:
         """Return all values of the section of each sweep, by its name; tables are merged, lists replaced."""
         base = self.model_dump(exclude={"sweep"})
-        return {name: merged(base, own) for name, own in self.sweep.items()}
+        return {name: merged(base, section) for name, section in self.sweep.items()}
 
     def swept(self) -> dict[str, Self]:
         """Return the section of each sweep by its name.

@@ -36,9 +36,9 @@ Array = npt.NDArray[Any]
 def unpack_artifacts(store: Store, refs: Sequence[ArtifactRef]) -> UnpackedClips:
     """Return takes, or the takes of batches of variants with these, unpacked: failed and rejected ones, too."""
     manifests = [store.manifest(ref) for ref in refs]
-    batches = {one.ref: store.manifest(take_of(store, one.ref)) for one in manifests if "variants" in one.tables}
-    takes = [one for one in manifests if "poses" in one.tables] + list(batches.values())
-    told = [[one.ref.content_digest, interaction_of(one)] for one in takes]
+    batches = {ref: store.manifest(take_of(store, ref)) for ref in refs if "variants" in store.manifest(ref).tables}
+    takes = [manifest for manifest in manifests if "poses" in manifest.tables] + list(batches.values())
+    told = [[manifest.ref.content_digest, interaction_of(manifest)] for manifest in takes]
     digest = hashlib.sha256(canonical_json([_VERSION, told, [ref.content_digest for ref in batches]])).hexdigest()
 
     def write(writer: ClipWriter) -> None:

@@ -127,8 +127,8 @@ class CheckedMotion:
             InputError: The two have different numbers of frames or people, or other rates.
         """
         made, its = (
-            f"{counted(one.num_frames, 'frame')} of {counted(one.num_people, 'person')} at {one.rate_hz:g} Hz"
-            for one in (self.source, original.source)
+            f"{counted(source.num_frames, 'frame')} of {counted(source.num_people, 'person')} at {source.rate_hz:g} Hz"
+            for source in (self.source, original.source)
         )
         if made != its:
             raise InputError(f"it has {made}, its source {original.name} {its}: a variant has the frames of its source")
@@ -144,17 +144,17 @@ class CheckedMotion:
 
     def picture(self, said: str, people: Sequence[PersonCapture], original: CheckedMotion | None = None) -> Picture:
         """Return the player: some seconds around its worst jump, beside the same of its source."""
-        motions = [one for one in (original, self) if one is not None]
-        rate_hz, count = self.source.rate_hz, min(len(one.source.positions_m) for one in motions)
+        motions = [motion for motion in (original, self) if motion is not None]
+        rate_hz, count = self.source.rate_hz, min(len(motion.source.positions_m) for motion in motions)
         length, worst = min(count, round(_SHOWN_S * rate_hz)), max(people, key=lambda person: person.jump_m)
         jump_s = worst.jump_s if max(person.start_jump_m for person in people) < worst.jump_m else 0.0
         start = int(np.clip(jump_s * rate_hz - length / 2, 0, count - length))
         frames, shown_hz = shown_frames(length, rate_hz)
         panels = []
-        for one in motions:
+        for motion in motions:
             contacts = original.contacts if original is not None else self.contacts
-            links = links_of(contacts, one.source.positions_m)[frames + start]
-            panels.append(people_panel(one.name, BODY22, one.source.positions_m[frames + start], links))
+            links = links_of(contacts, motion.source.positions_m)[frames + start]
+            panels.append(people_panel(motion.name, BODY22, motion.source.positions_m[frames + start], links))
         labels = [f"{(start + frame) / rate_hz:.2f} s" for frame in frames]
         return Picture(f"{self.name}{PLAYER}", said, pack_player(panels, rate_hz=shown_hz, labels=labels))
 

@@ -70,9 +70,9 @@ def _metrics() -> dict[str, tuple[str, str, str]]:
     from pasdedeux.sampling import diagnostics
 
     declared: dict[str, tuple[str, str, str]] = {}
-    for one in (*quality.FIGURES.values(), *diagnostics.FIGURES.values()):
-        sentence = one.meaning[0].lower() + one.meaning[1:]
-        declared.setdefault(_without_ending(one.metric)[0], (one.words, sentence, one.better))
+    for figure in (*quality.FIGURES.values(), *diagnostics.FIGURES.values()):
+        sentence = figure.meaning[0].lower() + figure.meaning[1:]
+        declared.setdefault(_without_ending(figure.metric)[0], (figure.words, sentence, figure.better))
     metrics = _WORDS["metrics"].items()
     return declared | {name: (*words, better) for better, own in metrics for name, words in own.items()}
 
@@ -96,5 +96,5 @@ def _parts(name: str) -> list[str]:
 
 def _without_ending(name: str) -> tuple[str, str]:
     """Return a name without its last ending, and that ending in words; empty where it has none."""
-    ending = next((one for one in _WORDS["endings"] if name.endswith(f"_{one}")), "")
+    ending = next((ending for ending in _WORDS["endings"] if name.endswith(f"_{ending}")), "")
     return (name.removesuffix(f"_{ending}"), _WORDS["endings"][ending]) if ending else (name, "")

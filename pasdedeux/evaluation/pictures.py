@@ -263,7 +263,7 @@ def people_panel(
     behind = [] if truth_m is None else [truth_m[:, person] for person in range(truth_m.shape[1])]
     colours = zip(range(people_m.shape[1]), cycle(PERSON_COLOURS), strict=False)
     figures = (
-        *(ShownPerson(skeleton, one, _TRUTH_COLOUR, is_thin=True) for one in behind),
+        *(ShownPerson(skeleton, person_m, _TRUTH_COLOUR, is_thin=True) for person_m in behind),
         *(ShownPerson(skeleton, people_m[:, person], colour) for person, colour in colours),
     )
     return PlayerPanel(title, figures, links_m, objects_m)

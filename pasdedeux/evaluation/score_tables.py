@@ -105,10 +105,10 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
     }
     if len(methods) == 1:
         single.sort(key=lambda score: (score.split, _natural(score.item)))
-        figures = {name: in_words(name) for name in sorted({one.metric for one in single})}
+        figures = {name: in_words(name) for name in sorted({score.metric for score in single})}
         items = pivot_table(
-            *(single, caption, ("part", "item"), lambda one: (part_in_words(one.split), one.item), figures),
-            *(lambda one: one.metric, _text),
+            *(single, caption, ("part", "item"), lambda score: (part_in_words(score.split), score.item), figures),
+            *(lambda score: score.metric, _text),
         )
         return _without_all(items)
     best = _best(single) if has_marks else set()
@@ -116,9 +116,9 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
         single,
         caption,
         ("figure", "part", "item"),
-        lambda one: (one.metric, part_in_words(one.split), one.item),
+        lambda score: (score.metric, part_in_words(score.split), score.item),
         methods,
-        lambda one: one.method,
+        lambda score: score.method,
         lambda found: _text(found) + " *" * (found[-1] in best),
     )
     return _without_all(replace(table, rows=tuple((in_words(metric), *rest) for metric, *rest in table.rows)))

@@ -34,7 +34,7 @@ def figure_label(name: str) -> FigureLabel:
     >>> [figure_label(name).words for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
     ['contact drift (cm)', 'R-hat, most', 'number of fail frames']
     """
-    ending = next((one for one in _SHOWN if name.endswith(one)), "")
+    ending = next((ending for ending in _SHOWN if name.endswith(ending)), "")
     words = re.sub("^num ", "number of ", in_words(name.removesuffix(ending)))
     unit, factor, form = _SHOWN.get(ending, ("", 1.0, ".4g"))
     return FigureLabel(f"{words} ({unit})" if unit else words, factor, form)

@@ -113,9 +113,10 @@ class Product:
     @property
     def advice(self) -> str:
         """Advice on its use, with a placeholder for its name; empty if nothing is judged."""
-        failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL}
+        failed = {name: verdict for name, verdict in self.verdicts.items() if verdict.level is Level.FAIL}
         by_result = all(_PRODUCTS[self.name][str(_judge_of(name))] is _USABLE for name in failed)
-        if failed and by_result and all(any(row[0] is not Level.FAIL for row in one.tally) for one in failed.values()):
+        is_whole = any(all(row[0] is Level.FAIL for row in verdict.tally) for verdict in failed.values())
+        if failed and by_result and not is_whole:
             return _IN_PART
         return _ADVICE.get(self.level, "")
 
@@ -179,8 +180,8 @@ class Summary:
         'Look at the models yourself, which could not be judged.'
         """
         named: dict[str, list[str]] = {}
-        for one in self.products:
-            named.setdefault(one.advice, []).append(f"the {one.name}")
+        for product in self.products:
+            named.setdefault(product.advice, []).append(f"the {product.name}")
         order = [words for words in (*_ADVICE.values(), _IN_PART) if words in named]
         sentence = "; ".join(words.format(together(named[words])) for words in order)
         return f"{sentence[0].upper()}{sentence[1:]}." if sentence else ""
@@ -202,7 +203,7 @@ class Summary:
         """Return the last lines of a run: what was built, advice, each product, and each verdict that fails."""
         failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL or not self.products}
         lines = [*self._answers, *filter(None, [self.advice]), *self._product_lines()]
-        lines += [f"{name}: {verdict_words(one)}" for name, one in failed.items()]
+        lines += [f"{name}: {verdict_words(verdict)}" for name, verdict in failed.items()]
         if rest := len(self.verdicts) - len(failed):
             lines.append(
                 f"{counted(rest, 'more verdict')}, and what was skipped: see the report, or `pasdedeux status`"
@@ -216,7 +217,7 @@ class Summary:
     def good(self) -> list[str]:
         """Answer of the page to whether it is good: a line for each product, then for each verdict."""
         return self._product_lines() + [
-            f"{name}: {verdict_words(one)}" for part in self.ranked for name, one in part.items()
+            f"{name}: {verdict_words(verdict)}" for part in self.ranked for name, verdict in part.items()
         ]
 
     def lines(self) -> list[str]:

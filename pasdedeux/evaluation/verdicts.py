@@ -193,7 +193,7 @@ class Criterion:
     def verdict(self, items: Items, baselines: Collection[str]) -> Verdict | None:
         """Return the verdict on these items; None where no method is among them."""
         paired = items.paired(self.methods, baselines, is_larger_better=self.is_larger_better)
-        judged = [one for one in items.values if one not in baselines and not is_bound(one)]
+        judged = [method for method in items.values if method not in baselines and not is_bound(method)]
         tried = [method for method in self.methods or judged if method in items.values]
         if paired is None and items.takes and not tried:
             return None
@@ -218,8 +218,8 @@ class Criterion:
         truth, are only in tables.  None if there is nothing to compare, such as baselines alone.
         """
         values, counts, unit, plain = self._found(scores)
-        own = max((set(values[name]) for name in values if name not in plain), key=len, default=set())
-        tried = [own.intersection(values[name]) for name in sorted(plain)]
+        scored = max((set(values[name]) for name in values if name not in plain), key=len, default=set())
+        tried = [scored.intersection(values[name]) for name in sorted(plain)]
         for shared in (*tried, max(map(set, values.values()), key=len, default=set())):
             places = _apart(shared)
             methods = [name for name in values if places and places.issubset(values[name])]
@@ -230,18 +230,16 @@ class Criterion:
         if plain.issuperset(methods) and not math.isfinite(self.limit):
             return None
         # Sorted: the mean of a set would depend on the order of its hashes.
-        means = {
-            name: weighted_mean((values[name][one], counts[name][one]) for one in sorted(places)) for name in methods
-        }
+        means = {name: weighted_mean((values[name][at], counts[name][at]) for at in sorted(places)) for name in methods}
         paired = None if verdict is None else verdict.paired
         judged = {} if paired is None else _means(paired)
         if paired is not None and judged:
-            is_same = all(math.isclose(means.get(one, math.nan), judged[one], rel_tol=1e-6) for one in judged)
+            is_same = all(math.isclose(means.get(method, math.nan), judged[method], rel_tol=1e-6) for method in judged)
             means = means | judged if is_same else judged
             plain = plain.union(paired.baselines)
         sign = -1.0 if self.is_larger_better else 1.0
         ranked = sorted(means, key=lambda name: (sign * means[name], name))
-        baselines = ((means[one], in_words(one)) for one in ranked if one in plain)
+        baselines = ((means[method], in_words(method)) for method in ranked if method in plain)
         goal, name = next(baselines, (self.limit, "the limit"))
         if verdict is not None and judged:
             goal, name = verdict.baseline, verdict.baseline_name
@@ -285,21 +283,21 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     frequent reason; figure and baseline of that reason are means over all items.
     """
     every = list(verdicts)
-    merged = _joined([one for one in every if one.count] or every[:1])
+    merged = _joined([verdict for verdict in every if verdict.count] or every[:1])
     if len(merged) < 2:
         return merged[0] if merged else None
     tally = Counter[tuple[Level, str]]()
-    for one in merged:
-        for level, reason, count in one.tally or ((one.level, one.reason, 1),):
+    for verdict in merged:
+        for level, reason, count in verdict.tally or ((verdict.level, verdict.reason, 1),):
             tally[level, reason] += count
     worst = max((level for level, _ in tally), key=lambda level: level.rank)
     shared = {reason: count for (level, reason), count in tally.items() if level is worst}
     why = min(shared, key=lambda reason: (not reason, -shared[reason], reason))
     reason = why if worst is Level.PASS else f"{sum(shared.values())} of {tally.total()}: {why}"
     measured: dict[str, list[Verdict]] = {}
-    for one in merged:
-        if one.figure and math.isfinite(one.value):
-            measured.setdefault(one.figure, []).append(one)
+    for verdict in merged:
+        if verdict.figure and math.isfinite(verdict.value):
+            measured.setdefault(verdict.figure, []).append(verdict)
     rows = tuple((level, reason, count) for (level, reason), count in sorted(tally.items()))
     if not measured:
         return Verdict(worst, reason, count=tally.total(), tally=rows)
@@ -307,7 +305,7 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     def rank(figure: str) -> tuple[int, int, str]:
         alike = measured[figure]
         has_reason = any((worst, why) in {(one.level, one.reason), *(row[:2] for row in one.tally)} for one in alike)
-        return -has_reason, -sum(one.count for one in alike), figure
+        return -has_reason, -sum(verdict.count for verdict in alike), figure
 
     alike = measured[min(measured, key=rank)]
     names = sorted({verdict.baseline_name for verdict in alike})
@@ -315,11 +313,11 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
         worst,
         reason,
         alike[0].figure,
-        weighted_mean((one.value, one.count) for one in alike),
+        weighted_mean((verdict.value, verdict.count) for verdict in alike),
         alike[0].unit,
-        weighted_mean((one.baseline, one.count) for one in alike),
+        weighted_mean((verdict.baseline, verdict.count) for verdict in alike),
         names[0] if len(names) == 1 else "",
-        count=sum(one.count for one in alike),
+        count=sum(verdict.count for verdict in alike),
         thing=alike[0].thing,
         tally=rows,
     )
@@ -335,7 +333,7 @@ def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
         else:
             groups.setdefault((verdict.figure, verdict.paired.method, verdict.paired.baselines), []).append(verdict)
     for same in groups.values():
-        parts = [one.paired for one in same if one.paired is not None]
+        parts = [verdict.paired for verdict in same if verdict.paired is not None]
         names = (parts[0].method, *parts[0].baselines)
         blocks: dict[tuple[str, int], list[tuple[float, ...]]] = {}
         for part in parts:
@@ -343,7 +341,7 @@ def _joined(verdicts: Iterable[Verdict]) -> list[Verdict]:
             for block, row in zip(zip(part.takes, part.seconds, strict=True), columns, strict=True):
                 blocks.setdefault(block, []).append(row)
         known = sorted(blocks)
-        rows = [[math.fsum(column) for column in zip(*blocks[one], strict=True)] for one in known]
+        rows = [[math.fsum(column) for column in zip(*blocks[block], strict=True)] for block in known]
         whole = replace(
             parts[0],
             count=sum(part.count for part in parts),
@@ -367,7 +365,7 @@ class NamedVerdict:
 
 def verdict_columns(judged: Sequence[NamedVerdict]) -> dict[str, list[object]]:
     """Return verdicts as columns of the `verdicts` table, in the order of stage and partition."""
-    rows = sorted(judged, key=lambda one: (one.stage, one.partition))
+    rows = sorted(judged, key=lambda verdict: (verdict.stage, verdict.partition))
     names = ("level", "reason", "figure", "value", "unit", "baseline", "baseline_name", "count", "thing")
     return {
         "stage": [row.stage for row in rows],

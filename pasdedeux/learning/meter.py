@@ -162,8 +162,8 @@ def generated(
     draws, nobody has any.
     """
     drawn = {name: model.generate(request.source, streams(name)) for name, model in models.items()}
-    made = {name: [found] for name, found in drawn.items() if found is not None}
-    scales = [scale for found in made.values() for scale, _ in found]
+    made = {name: [drawing] for name, drawing in drawn.items() if drawing is not None}
+    scales = [scale for drawing in made.values() for scale, _ in drawing]
     beside = [name for name, model in models.items() if scales and model.name in DEFAULT_MODELS]
     return made | {
         name: [(scale, models[name].predict(replace(request, bone_scale=scale))) for scale in scales] for name in beside

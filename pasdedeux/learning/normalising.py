@@ -24,7 +24,7 @@ class Normaliser:
     deviation: npt.NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        mean, deviation = (np.asarray(one, dtype=np.float32) for one in (self.mean, self.deviation))
+        mean, deviation = (np.asarray(values, dtype=np.float32) for values in (self.mean, self.deviation))
         if mean.shape != deviation.shape or not (np.isfinite(mean).all() and np.isfinite(deviation).all()):
             raise InputError(f"mean {mean.shape} and deviation {deviation.shape} must be finite, and of one shape")
         object.__setattr__(self, "mean", mean)

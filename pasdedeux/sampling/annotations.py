@@ -208,12 +208,12 @@ def build_bank(
         order = order[np.sort(first)][:num_candidates]
         num_similar = int(np.searchsorted(angle[order], view_bandwidth_rad, side="right"))
         chosen.append(order[: max(num_similar, MIN_CANDIDATES)])
-    max_count = max(len(own) for own in chosen)
+    max_count = max(len(entries) for entries in chosen)
     candidates = np.full((len(directions), max_count), -1, dtype=np.int64)
-    for row, own in enumerate(chosen):
-        candidates[row, : len(own)] = own
+    for row, entries in enumerate(chosen):
+        candidates[row, : len(entries)] = entries
     return ViewBank(
         directions=np.asarray(directions, dtype=np.float64),
         candidates=candidates,
-        counts=np.array([len(own) for own in chosen], dtype=np.int64),
+        counts=np.array([len(entries) for entries in chosen], dtype=np.int64),
     )

@@ -80,7 +80,7 @@ def leave_one_out(points_m: Array, directions: Array, moment: npt.NDArray[np.int
             continue
         residual = plane_residual(points[row], points[others]) / num_shared[others]
         tried = others[np.argsort(residual, kind="stable")[:_NUM_COMPARED]]
-        dissimilarities = [interaction_dissimilarity(points[row], points[one]) for one in tried]
+        dissimilarities = [interaction_dissimilarity(points[row], points[other]) for other in tried]
         nearest.append(min(dissimilarities))
         freedom.append(2.0 * num_shared[tried[int(np.argmin(dissimilarities))]] - 3.0)
     return LeaveOneOut(np.array(nearest), np.array(freedom))

@@ -190,7 +190,7 @@ def _judge(
             f"not mixed: effective sample size {size}, R-hat {worst_rhat:.2f}, {100 * travelled_m:.1f} cm travelled"
         )
     if at_ceiling > MAX_AT_CEILING:
-        level = max(level, Level.WARN, key=lambda one: one.rank)
+        level = max(level, Level.WARN, key=lambda level: level.rank)
         reasons.append(f"{at_ceiling:.0%} of the draws lie above the seed's density range, where the target is flat")
     return Verdict(
         level,

@@ -142,7 +142,7 @@ def lift_pair(
             torso_m[..., :2] / torsos.metres_per_pixel[person, :, None, None] + torsos.root_px[person, :, None] * _DOWN
         )
         image = _completed(image_m[person], flat.mean(axis=0), lengths_m[person])
-        people.append([_lift_person(image, own, lengths_m[person], limits, prior) for own in torso_m])
+        people.append([_lift_person(image, torso, lengths_m[person], limits, prior) for torso in torso_m])
     pairs, costs = [], []
     for (first, cost_of_first), (second, cost_of_second) in itertools.product(*people):
         placed = np.stack([np.broadcast_to(pose, (len(_DEPTHS_M), 17, 3)) for pose in (first, second)], axis=1)

@@ -249,35 +249,35 @@ class _Frontier:
 
     def agree(self, num_seeds: int) -> None:
         """Give every grown pair the depth of the other pairs that look like it under its view."""
-        entries = np.array([one.entry for one in self.lifted[num_seeds:]], dtype=np.int64)
+        entries = np.array([pair.entry for pair in self.lifted[num_seeds:]], dtype=np.int64)
         if not len(entries) or len(self.lifted) < 2:
             return
         distance_m, which = self._nobody(len(entries))
         views = ViewedImages(self.images[entries], self.is_seen[entries], self.directions[entries])
-        for index, one in enumerate(self.lifted):
-            residual = views.residuals(one.pair_m)
+        for index, pair in enumerate(self.lifted):
+            residual = views.residuals(pair.pair_m)
             if index >= num_seeds:
                 residual[index - num_seeds] = np.inf
             keep_nearest(residual, index, distance_m, which)
         self.lifted[num_seeds:] = [
-            replace(one, pair_m=self._placed(one.entry, distance_m[row], which[row], one.lengths))
-            for row, one in enumerate(self.lifted[num_seeds:])
+            replace(pair, pair_m=self._placed(pair.entry, distance_m[row], which[row], pair.lengths))
+            for row, pair in enumerate(self.lifted[num_seeds:])
         ]
 
     def growth(self, num_seeds: int, limits: JointLimits, num_refused: int, prior: PriorSettings) -> Growth:
         """Turn every pair upright as its parent and give them all."""
-        fixed = [gauge_fix(one.pair_m) for one in self.lifted[:num_seeds]]
+        fixed = [gauge_fix(pair.pair_m) for pair in self.lifted[:num_seeds]]
         grown = self.lifted[num_seeds:]
-        for one in grown:
-            fixed.append(gauge_fix(one.pair_m, fixed[one.parent]))
+        for pair in grown:
+            fixed.append(gauge_fix(pair.pair_m, fixed[pair.parent]))
         pairs = np.array(fixed[num_seeds:]).reshape(-1, 2, PAIR17.num_joints, 3)
         quality = seed_quality(pairs, limits, prior)
         return Growth(
             pairs_m=pairs,
-            entry=np.array([one.entry for one in grown], dtype=np.int64),
-            parent=np.array([one.parent for one in grown], dtype=np.int64),
-            generation=np.array([one.generation for one in grown], dtype=np.int64),
-            image_distance_m=np.array([one.image_distance_m for one in grown], dtype=np.float64),
+            entry=np.array([pair.entry for pair in grown], dtype=np.int64),
+            parent=np.array([pair.parent for pair in grown], dtype=np.int64),
+            generation=np.array([pair.generation for pair in grown], dtype=np.int64),
+            image_distance_m=np.array([pair.image_distance_m for pair in grown], dtype=np.float64),
             log_prior=quality.log_prior,
             is_possible=quality.is_possible,
             num_refused=num_refused,

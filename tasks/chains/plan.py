@@ -39,23 +39,23 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
             grown pair and none are to grow.
     """
     wanted = parameters.named()
-    read = {name: _read_by(own.densities[0], inputs) for name, own in wanted.items()}
+    read = {name: _read_by(options.densities[0], inputs) for name, options in wanted.items()}
     if inputs.of("seeds") and all(needed is None for needed in read.values()):
-        densities = list(dict.fromkeys(own.densities[0] for own in wanted.values()))
+        densities = list(dict.fromkeys(options.densities[0] for options in wanted.values()))
         raise InputError(
             f"chains.densities asks for {', '.join(densities)} alone, but there are no annotated pairs with views to "
             "sample from"
         )
     shards: list[Shard] = []
-    for name, own in wanted.items():
+    for name, options in wanted.items():
         needed = read[name]
         if needed is None:
             continue
-        if own.starts == "every":
-            shards += _plan_repair(inputs, name, own, needed)
+        if options.starts == "every":
+            shards += _plan_repair(inputs, name, options, needed)
             continue
-        for seed, index in _starts(inputs, own.starts):
-            shards += _plan_seed(inputs, name, own, seed, index, needed)
+        for seed, index in _starts(inputs, options.starts):
+            shards += _plan_seed(inputs, name, options, seed, index, needed)
     return shards
 
 

@@ -42,7 +42,7 @@ _OURS, _PLAIN = "interaction_mesh", "naive_fk"
 _FK_DRIFT = "contact_drift_fk_m"
 QUALITY_COLUMNS = {
     "estimated_gap_m": "m",
-    **{name: one.unit for name, one in FIGURES.items() if one.kind == "float" and name != _FK_DRIFT},
+    **{name: figure.unit for name, figure in FIGURES.items() if figure.kind == "float" and name != _FK_DRIFT},
 }
 """Scored columns of a variant's quality, with their units."""
 _SAMPLE_S = 1.0
@@ -215,8 +215,8 @@ def contact_scores(drifts: ContactDrifts, *, item: str) -> list[Score]:
     """Return median, 95th percentile and worst over contacts, frames and variants of a take, of hands and of bodies."""
     scores = []
     for name, is_mine in (("hand", drifts.is_hand), ("body", ~drifts.is_hand)):
-        for method, found in drifts.found_m.items():
-            mine = found[:, is_mine].ravel()
+        for method, drift_m in drifts.found_m.items():
+            mine = drift_m[:, is_mine].ravel()
             if len(mine):
                 values = zip(("median", "p95", "worst"), np.percentile(mine, [50.0, 95.0, 100.0]), strict=True)
                 figures = {f"{name}_contact_drift_{which}": value for which, value in values}

@@ -89,8 +89,8 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
     """Return the segments of the first chain of the first seed of each density."""
     manifests = []
     facts = [(DrawFacts.of(manifest), manifest) for manifest in draws]
-    for density in sorted({one.density for one, _ in facts}):
-        first = min(one.seed_index for one, _ in facts if one.density == density)
+    for density in sorted({fact.density for fact, _ in facts}):
+        first = min(fact.seed_index for fact, _ in facts if fact.density == density)
         place = (density, first, 0)
         segments = [pair for pair in facts if (pair[0].density, pair[0].seed_index, pair[0].chain) == place]
         manifests += [manifest for _, manifest in sorted(segments, key=lambda pair: pair[0].segment)]
@@ -100,7 +100,7 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
 def _baselines(shard: Shard, store: Store) -> set[str]:
     """Return the names of the chains that no annotation shaped."""
     first = map(store.manifest, shard.refs("first"))
-    return {DrawFacts.of(one).density for one in first if not knows_annotations(one)}
+    return {DrawFacts.of(manifest).density for manifest in first if not knows_annotations(manifest)}
 
 
 def _read_chains(store: Store, shard: Shard) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:

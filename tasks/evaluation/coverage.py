@@ -196,10 +196,10 @@ def _ready_draws(
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[DrawPart, ...]], dict[str, _Dots], list[str]]:
     """Return all sets of draws, prepared for all shards of a worker if they are few enough, dots, and baselines."""
     drawn, first = read_draw_sets(store, refs), draws_from_first_seeds(store, refs)
-    in_order = {name: found.in_order for name, found in drawn.items()}
+    in_order = {name: pairs.in_order for name, pairs in drawn.items()}
     most = max(map(len, in_order.values()), default=0)
     counts = sorted({max(1, round(share * most)) for share in _MAPPED_SHARES})
-    draws = in_order | {name: found.in_order for name, found in first.items()}
+    draws = in_order | {name: pairs.in_order for name, pairs in first.items()}
     is_kept = sum(map(len, draws.values())) <= _MAX_KEPT
     parts = {name: tuple(_parts(pairs)) for name, pairs in draws.items() if is_kept}
     return draws, parts, {name: _dots(pairs, counts) for name, pairs in in_order.items()}, baselines_of(drawn | first)
@@ -250,7 +250,7 @@ def draws_from_first_seeds(store: Store, refs: Sequence[ArtifactRef]) -> dict[st
         seeds.setdefault(fact.density, set()).add(fact.seed_index)
     first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
     first_refs = tuple(ref for ref, fact in facts.items() if first.get(fact.density) == fact.seed_index)
-    return {f"{name}{_FIRST_SEED}": found for name, found in read_draw_sets(store, first_refs).items()}
+    return {f"{name}{_FIRST_SEED}": drawn for name, drawn in read_draw_sets(store, first_refs).items()}
 
 
 def curve_points(num_draws: int, num_points: int) -> list[int]:
@@ -316,11 +316,11 @@ def coverage_figure(
     curves: Mapping[str, CoverageCurve], levels: CoverageCurve, words: str, baselines: Collection[str] = ()
 ) -> bytes:
     """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, fig. 9), beside real frames."""
-    panels, at = [], {method: one.num_draws.astype(np.float64) for method, one in curves.items()}
+    panels, at = [], {method: curve.num_draws.astype(np.float64) for method, curve in curves.items()}
     for name, unit, words_of_measure in _MEASURES.values():
         factor, end = (100.0, " (cm)") if unit == "m" else (1.0, "")
         real = zip(levels.num_draws.tolist(), factor * getattr(levels, name), strict=True)
-        lines = {method: (at[method], factor * getattr(one, name)) for method, one in curves.items()}
+        lines = {method: (at[method], factor * getattr(curve, name)) for method, curve in curves.items()}
         levels_of = {f"{count} real": float(value) for count, value in real}
         panels.append(CurvePanel(f"to the nearest draw, {words_of_measure}{end}", lines, baselines, levels_of))
     return curve_figure(panels, title=f"coverage of {words} frames", x_label="draws", is_log=True)
@@ -364,7 +364,7 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> lis
     seeds.  No table where chains were not scored, or nothing was covered.
     """
     single = [score for score in coverage if np.isnan(score.at)]
-    split = next((one for one in SPLITS[::-1] if any(score.split == one for score in single)), None)
+    split = next((part for part in SPLITS[::-1] if any(score.split == part for score in single)), None)
     if split is None or not chains:
         return []
     part = [score for score in single if score.split == split]

@@ -30,7 +30,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
         if name.endswith(_SUFFIX) and plain is not None:
             shown = MotionFacts.of(detected).sequence_takes
             takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in shown]
-            sources = [annotations[one.partition] for one in (detected, plain)]
+            sources = [annotations[manifest.partition] for manifest in (detected, plain)]
             shards.append(
                 TOPIC.shard(inputs, name, detected=[detected], plain=[plain], annotations=sources, takes=takes)
             )
@@ -41,7 +41,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
     """Score one sequence: the identities of people, and the error of each person by the last method."""
     annotations, takes = shard.refs("annotations"), shard.refs("takes")
     facts = SequenceFacts.of(store.manifest(annotations[0]))
-    (settled,) = (one for one in facts.detected if one.sequence_id == shard.name)
+    (settled,) = (identities for identities in facts.detected if identities.sequence_id == shard.name)
     scores = []
     for name, label in (("detected", "detector"), ("plain", _NOISE_ALONE)):
         for person in read_reconstructed(store, shard.ref(name), annotations, takes)[0]:

@@ -226,13 +226,13 @@ class _Repetition:
             source = self._variants[BY_SOLVER].takes[take_id].source
             motions = [source.positions_m] if has_takes else []
             if by != WITHOUT:
-                sound = {one: variants.sound_names(take_id) for one, variants in self._variants.items()}
+                sound = {name: variants.sound_names(take_id) for name, variants in self._variants.items()}
                 count = min(map(len, sound.values()))
                 chosen = [sound[by][at * len(sound[by]) // count] for at in range(count)]
                 motions += [item.motion_m for item in self._variants[by].items(chosen)]
             cut = [clips_of(motion, source.rate_hz, **self._cut) for motion in motions]
             clips.setdefault(interaction_of(take), []).extend(cut)
-        return {kind: joined for kind, own in clips.items() if own and len(joined := np.concatenate(own))}
+        return {kind: joined for kind, cut in clips.items() if cut and len(joined := np.concatenate(cut))}
 
     @cached_property
     def training_sets(self) -> dict[str, Clips]:
@@ -343,9 +343,9 @@ def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
             name: _of_seeds(score for score in scores if (score.split, score.method) == (split, name))
             for name in methods
         }
-        differences = [[by_seed[one][seed] - by_seed[other][seed] for seed in by_seed[one]] for one, other in pairs]
-        rows.append((split, *(_spread([*own.values()]) for own in by_seed.values()), *map(_effect, differences)))
-    effects = (f"{in_words(one)} - {in_words(other)} (95 %)" for one, other in pairs)
+        differences = [[by_seed[name][seed] - by_seed[other][seed] for seed in by_seed[name]] for name, other in pairs]
+        rows.append((split, *(_spread([*seeds.values()]) for seeds in by_seed.values()), *map(_effect, differences)))
+    effects = (f"{in_words(name)} - {in_words(other)} (95 %)" for name, other in pairs)
     division = "training / validation / test" if "/" in "".join(splits) else "training takes of each interaction"
     headings = (division, *map(in_words, methods), *effects)
     return [TextTable(caption, headings, tuple(rows))] if rows else []

@@ -80,7 +80,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
         source, items = variants.takes[take_id].source, list(variants.items(wanted))
         clips[method][take_id] = [clips_of(item.motion_m, source.rate_hz) for item in items]
         contacts = ModelMeter(items[0].request).contacts
-        drifts = contact_drifts(contacts, source, ((one.request.bone_scale, one.motion_m) for one in items))
+        drifts = contact_drifts(contacts, source, ((item.request.bone_scale, item.motion_m) for item in items))
         ours_mm, plain_mm = (1e3 * found.ravel() for found in drifts.found_m.values())
         errors_mm.setdefault(method, []).append(ours_mm)
         if method == SOLVER:
@@ -158,15 +158,15 @@ def distribution_scores(
         generator: Draws the halves and the strangers.
         split: Split of the scores.
     """
-    scored = sorted(set.union(*(set(found) for found in made.values())))
+    scored = sorted(set.union(*(set(by_take) for by_take in made.values())))
     places = [(take_id, at) for take_id in scored for at in range(len(real[take_id]))]
-    first, second = ([places[at] for at in half] for half in halves([(one,) for one, _ in places], generator))
+    first, second = ([places[at] for at in half] for half in halves([(name,) for name, _ in places], generator))
     if min(len(first), len(second)) < 2:
         return []
     everywhere = [(take_id, at) for take_id in sorted(real) for at in range(len(real[take_id]))]
 
     def stranger(take_id: str, at: int) -> Array:
-        others = [one for one in everywhere if kinds[one[0]] != kinds[take_id]]
+        others = [place for place in everywhere if kinds[place[0]] != kinds[take_id]]
         other, when = others[generator.integers(len(others))]
         return np.stack([real[take_id][at][:, 0], real[other][when][:, 1]], axis=1)
 
@@ -182,12 +182,12 @@ def distribution_scores(
             ]
     units = [[take_id for take_id, _ in half] for half in (second, first)]
     scores = []
-    for method, found in sets.items():
-        features = [classifier.features(one) for one in found]
+    for method, of_method in sets.items():
+        features = [classifier.features(clips) for clips in of_method]
         rows = [distances(reference, of_set) | {"diversity": mean_distance(of_set)} for of_set in features]
         figures = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         if len(features) > 1:
-            figures["multimodality"] = float(np.mean([mean_distance(one) for one in np.stack(features, axis=1)]))
+            figures["multimodality"] = float(np.mean([mean_distance(alike) for alike in np.stack(features, axis=1)]))
         low, high = np.mean([kernel_interval(reference, of_set, *units) for of_set in features], axis=0)
         scores += distance_scores(figures, (float(low), float(high)), method, split=split, count=len(first))
     return scores

@@ -339,10 +339,10 @@ def _between(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
             filled = in_between_errors(spans, pool)
             if split == "held_out" and len(real):
                 filled["real_frames"] = in_between_errors(spans, real)["draws"]
-            means = {method: np.array([span.mean() for span in found]) for method, found in filled.items()}
+            means = {method: np.array([span.mean() for span in errors_of]) for method, errors_of in filled.items()}
             scores += summarise(means, "in_between_error", "m", split=split, item=f"{gap} frames")
             between = truth.where([(take, frame + more) for take, frame in starts for more in range(1, gap)])
-            errors = {method: np.concatenate(found) for method, found in filled.items()}
+            errors = {method: np.concatenate(errors_of) for method, errors_of in filled.items()}
             judged += _held_out(split, Items(errors, *between))
     return TopicResult(scores, items={_BETWEEN: Items.joined(judged)}, baselines=_BASELINES)
 

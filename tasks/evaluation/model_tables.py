@@ -31,7 +31,7 @@ def _without_seed(score: Score) -> str:
 
 def _of_seeds(seed_scores: Sequence[Score]) -> str:
     """Return mean, least and most of the figures of several seeds."""
-    values = [one.value for one in seed_scores]
+    values = [score.value for score in seed_scores]
     return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f}, {counted(len(values), 'seed')})"
 
 
@@ -41,31 +41,31 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
     of_all = [score for score in known if (score.metric, score.item) == ("E_r", "all")]
     # Baselines first, then from worst to best.
     ranked = {
-        name: (not own[0].is_baseline, -float(np.mean([score.value for score in own])))
+        name: (not scores_of_model[0].is_baseline, -float(np.mean([score.value for score in scores_of_model])))
         for name in {score.method for score in of_all}
-        for own in [[score for score in of_all if score.method == name]]
+        for scores_of_model in [[score for score in of_all if score.method == name]]
     }
     models = {name: in_words(name) for name in sorted(ranked, key=lambda name: ranked[name])}
     known_splits = {score.split.removesuffix(" test") for score in known}
     splits = {
         f"{name} test": name
-        for one in SPLIT_NAMES
+        for split in SPLIT_NAMES
         for name in sorted(known_splits)
-        if name in (one, f"{one}_{EXPI18.name}")
+        if name in (split, f"{split}_{EXPI18.name}")
     }
     is_falling = {(s.method, s.split) for s in known if s.metric == FALL and s.value > _STILL_FALLS}
     order = {name: number for number, name in enumerate((*models, *splits))}
     known = [score for score in known if score.method in models and score.split in splits]
-    known.sort(key=lambda one: (one.item, order[one.split], order[one.method], one.metric))
+    known.sort(key=lambda score: (score.item, order[score.split], order[score.method], score.metric))
 
     def by_model(caption: str, item: str, metrics: Sequence[str], cell: Callable[[Sequence[Score]], str]) -> TextTable:
-        rows = [one for one in known if one.item == item and one.metric in metrics]
-        rows.sort(key=lambda one: order[one.method])
+        rows = [score for score in known if score.item == item and score.metric in metrics]
+        rows.sort(key=lambda score: order[score.method])
         return pivot_table(rows, caption, ("model",), lambda s: (models[s.method],), splits, lambda s: s.split, cell)
 
     def by_motion(caption: str, *, is_largest: bool) -> TextTable:
-        rows = [one for one in known if one.item not in ("all", GENERATED) and one.metric in _PUBLISHED]
-        rows = [one for one in rows if one.item.endswith(AT_LARGEST) == is_largest]
+        rows = [score for score in known if score.item not in ("all", GENERATED) and score.metric in _PUBLISHED]
+        rows = [score for score in rows if score.item.endswith(AT_LARGEST) == is_largest]
         headings, names = ("motion", "split"), lambda s: (s.item.removesuffix(AT_LARGEST), splits[s.split])
         return pivot_table(rows, caption, headings, names, models, lambda s: s.method, _values(_PUBLISHED))
 
@@ -102,16 +102,16 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
             _values(_PUBLISHED[1:]),
         ),
     ]
-    seeded = {(_without_seed(one), one.split) for one in of_all if _without_seed(one) != one.method}
+    seeded = {(_without_seed(score), score.split) for score in of_all if _without_seed(score) != score.method}
     of_seeds = [score for score in of_all if (_without_seed(score), score.split) in seeded]
     of_seeds.sort(key=lambda score: order[score.method])
-    names, caption = lambda one: (in_words(_without_seed(one)),), "E_r (cm) over all seeds: mean (smallest to largest)"
-    tables.insert(1, pivot_table(of_seeds, caption, ("model",), names, splits, lambda one: one.split, _of_seeds))
+    names, caption = lambda s: (in_words(_without_seed(s)),), "E_r (cm) over all seeds: mean (smallest to largest)"
+    tables.insert(1, pivot_table(of_seeds, caption, ("model",), names, splits, lambda score: score.split, _of_seeds))
     return [table for table in tables if table.rows]
 
 
 def _values(metrics: Sequence[str]) -> Callable[[Sequence[Score]], str]:
     """Return a function that writes the scores of a cell in the order of these metrics."""
     return lambda found: " / ".join(
-        {one.metric: f"{one.value:.2f}" for one in found}.get(name, "-") for name in metrics
+        {score.metric: f"{score.value:.2f}" for score in found}.get(name, "-") for name in metrics
     )

@@ -67,7 +67,7 @@ def _plan(inputs: StageInputs, settings: ModelsSettings) -> list[Shard]:
         takes = [manifest for manifest in inputs.of("poses") if TakeFacts.of(manifest).take_id in tested]
         variants = [manifest for manifest in solver_variants(inputs) if VariantFacts.of(manifest).take_id in tested]
         options = settings.part(ModelsSettings)
-        logs = [one for one in inputs.of("training_log") if _split_name(ModelFacts.of(one)) == split]
+        logs = [log for log in inputs.of("training_log") if _split_name(ModelFacts.of(log)) == split]
         shards.append(TOPIC.shard(inputs, split, options, models=models, takes=takes, variants=variants, logs=logs))
     return shards
 
@@ -127,11 +127,11 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     takes = None if facts.shares_takes else [key.take_id for key in tested]
 
     def scores_of_rows(item: str, rows: Sequence[int]) -> list[Score]:
-        mine = {name: [found[row] for row in rows] for name, found in errors.items()}
+        chosen = {name: [found[row] for row in rows] for name, found in errors.items()}
         row_takes = None if takes is None else [takes[row] for row in rows]
-        return model_scores(mine, split=split, item=item, takes=row_takes) if rows else []
+        return model_scores(chosen, split=split, item=item, takes=row_takes) if rows else []
 
-    distances = {name: found for name, found in errors.items() if name != SOLVER}
+    distances = {name: of_model for name, of_model in errors.items() if name != SOLVER}
     scores = scores_of_rows("all", range(len(tested)))
     scores += share_scores(distances, rivals=rivals, split=split, takes=takes)
     scores += fall_scores({ModelFacts.of(one).model: store.read(one.ref, "training_log") for one in stored}, split)

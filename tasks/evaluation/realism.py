@@ -102,7 +102,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             streams = partial(stream, shard.seed, "evaluation", "drawn", split, take_id, item.variant_id)
             several = generated(models, item.request, streams)
             # Rivals of models that draw scales take the scales of each in turn, so they have no more clips.
-            last = {name: found[len(predicted.get(SOLVER, ())) % len(found)][1] for name, found in several.items()}
+            last = {name: draws[len(predicted.get(SOLVER, ())) % len(draws)][1] for name, draws in several.items()}
             for clips, motions in ((predicted, made), (drawn, last)):
                 for name, motion in {**motions, SOLVER: item.motion_m}.items():
                     clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, clips_of(motion, rate_hz)))
@@ -166,18 +166,18 @@ def _compare(
     """Score the predictions of one half of the variants beside the solver's results of the other half."""
     scores: list[Score] = []
     real, real_units = _features(classifier, [clips[SOLVER][at] for at in second or first])
-    for name, found in clips.items():
-        made, units = _features(classifier, [found[at] for at in first])
+    for name, clips_of_method in clips.items():
+        made, units = _features(classifier, [clips_of_method[at] for at in first])
         if second and min(len(real), len(made)) > 1:
             interval = kernel_interval(real, made, real_units, units)
             scores += distance_scores(distances(real, made), interval, name, count=len(made), **more)
         by_kind: dict[str, list[np.ndarray]] = {}
-        for one in found:
-            if one.kind in classifier.labels:
-                by_kind.setdefault(one.kind, []).append(one.clips)
+        for clip_set in clips_of_method:
+            if clip_set.kind in classifier.labels:
+                by_kind.setdefault(clip_set.kind, []).append(clip_set.clips)
         if by_kind:
             share = classifier.accuracy({kind: np.concatenate(some) for kind, some in by_kind.items()})
-            count = sum(len(one) for some in by_kind.values() for one in some)
+            count = sum(len(some_clips) for some in by_kind.values() for some_clips in some)
             scores.append(Score("recognised", name, share, "%", count=count, **more))
     return scores
 
@@ -191,8 +191,8 @@ def distance_scores(figures: Mapping[str, float], kernel: tuple[float, float], m
 
 def _features(classifier: ClipClassifier, clip_sets: Sequence[_Clips]) -> tuple[np.ndarray, list[str]]:
     """Return features of all clips, and the unit of each."""
-    units = [one.unit for one in clip_sets for _ in one.clips]
-    return classifier.features(np.concatenate([one.clips for one in clip_sets])), units
+    units = [clip_set.unit for clip_set in clip_sets for _ in clip_set.clips]
+    return classifier.features(np.concatenate([clip_set.clips for clip_set in clip_sets])), units
 
 
 TOPIC = Topic(

@@ -109,7 +109,7 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
 def _hero(store: Store, manifests: Sequence[Manifest]) -> Picture | None:
     """Return the moving picture at the top of the page: the first of the topics that show people best."""
     for topic in _OPENING:
-        for part in (one for one in manifests if one.partition == topic):
+        for part in (manifest for manifest in manifests if manifest.partition == topic):
             for name in sorted(name for name in part.attachments if name.endswith(PLAYER)):
                 return Picture(name, TopicFacts.of(part).captions[name], store.attachment(part.ref, name)).of_panels(2)
     return None
@@ -151,7 +151,7 @@ def _beyond(section: Section) -> list[str]:
 def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:
     """Return sentences on topics without a section, and on the keys that request them."""
     keys = {
-        topic.heading: [f"`evaluation.{name}`" for name, one in topic.settings.model_fields.items() if not one.default]
+        topic.heading: [f"`evaluation.{key}`" for key, own in topic.settings.model_fields.items() if not own.default]
         for topic in silent
         if there >= set(topic.reads)
     }

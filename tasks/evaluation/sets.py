@@ -138,8 +138,8 @@ def judge_set(
 
 def set_table(scores: Sequence[Score]) -> list[TextTable]:
     """Lay out the figures of every set, a row for each size, the best cover first."""
-    covers = {(one.method, one.at): one.value for one in scores if one.metric == "set_coverage_D_C"}
-    ranked = sorted(scores, key=lambda one: (one.at > min(at for _, at in covers), covers[one.method, one.at]))
+    covers = {(score.method, score.at): score.value for score in scores if score.metric == "set_coverage_D_C"}
+    ranked = sorted(scores, key=lambda score: (score.at > min(at for _, at in covers), covers[score.method, score.at]))
     if not covers:
         return []
     return [

@@ -93,7 +93,7 @@ def view_errors(hypotheses: Sequence[tuple[Array, Array]], truth: Array) -> dict
         "best_hypothesis": np.array(best),
         "mean_view": angle_between_directions(mean_view, truth),
     }
-    return {method: np.rad2deg(found) for method, found in angles.items()}
+    return {method: np.rad2deg(radians) for method, radians in angles.items()}
 
 
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array) -> bytes:

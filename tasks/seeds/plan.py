@@ -145,8 +145,8 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters, takes: Mapping
         wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(count)]
         poses += [list(takes.values())] * count
     return [
-        SEEDS.shard(inputs, f"seed{one.seed_index}", "seed", one, {"poses": own, "joint_limits": limits})
-        for one, own in zip(wanted, poses, strict=True)
+        SEEDS.shard(inputs, f"seed{options.seed_index}", "seed", options, {"poses": take, "joint_limits": limits})
+        for options, take in zip(wanted, poses, strict=True)
     ]
 
 

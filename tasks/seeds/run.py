@@ -172,14 +172,14 @@ def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> Artif
         SequenceFacts.of(store.manifest(ref)),
         sorted(place for place, people in read_people(store, [ref]).items() if len(people) == 2),
     )
-    every = [place for own in couples.values() for place in own]
+    every = [place for places in couples.values() for place in places]
     wanted = {every[at] for at in evenly_spread(len(every), options.num_over_time)}
     takes = np.concatenate([read_motion(store, take, "pair17_m")["pair17_m"] for take in shard.refs("poses")])
     takes = takes[evenly_spread(len(takes), MAX_PAIRS)]
     database = cache(lambda: database_of_draws(takes, np.deg2rad(ProjectionsParameters().pitches_deg).tolist()))
     lifted_places: dict[PairPlace, tuple[np.ndarray, float]] = {}
-    for own in couples.values():
-        lifted_places |= lift_couple(store, ref, own, wanted, database)
+    for places in couples.values():
+        lifted_places |= lift_couple(store, ref, places, wanted, database)
     known = op14_from_working(takes, PAIR17)
     places = sorted(wanted.intersection(lifted_places))
     pairs = [

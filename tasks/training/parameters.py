@@ -83,9 +83,9 @@ class TrainingParameters(CurationSettings, SweptParameters):
                 other, or a model is not of the skeleton.
         """
         wanted = {seeded: model for name in self.models for seeded, model in self._models(name, name).items()}
-        for name, own in self.swept().items():
-            for one in own.models:
-                wanted |= own._models(one, name if len(own.models) == 1 else f"{one}_{name}")
+        for name, section in self.swept().items():
+            for kind in section.models:
+                wanted |= section._models(kind, name if len(section.models) == 1 else f"{kind}_{name}")
         known = {seeded: model for name in MODELS for seeded, model in self._models(name, name).items()} | wanted
         models: dict[str, NamedModel] = {}
         for name in sorted(wanted):
@@ -100,7 +100,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
                         f"training: '{chain[-1]}' starts from '{start}', which is not trained on {min(missing)}"
                     )
                 chain.append(start)
-            models |= {one: known[one] for one in reversed(chain) if one not in models}
+            models |= {name: known[name] for name in reversed(chain) if name not in models}
         free = [name for name, model in MODELS.items() if model.is_of_any_skeleton]
         for name, model in models.items():
             if (skeleton := model.section.skeleton) != BODY22.name and model.kind not in free:
@@ -114,7 +114,7 @@ class TrainingParameters(CurationSettings, SweptParameters):
         settings: Settings = getattr(self, kind) if kind in type(self).model_fields else model_class(kind).settings()
         start, seeds = model_class(kind).start(settings), self.seeds if model_class(kind).needs_torch else (0,)
         names = [name, *(f"{name}_seed{seed}" for seed in seeds[1:])]
-        return {one: NamedModel(kind, settings, start, self, seed) for one, seed in zip(names, seeds, strict=True)}
+        return {name: NamedModel(kind, settings, start, self, seed) for name, seed in zip(names, seeds, strict=True)}
 
 
 class TrainingSegmentParameters(Parameters):

@@ -91,7 +91,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     ingest = sections["ingest"]
     duets = {duet.take_id: duet.name for duet in ingest.resolved_duets()}
     takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]
-    known = [one for part in variations(sections["augmentation"], 2).values() for one in part]
+    known = [variation for part in variations(sections["augmentation"], 2).values() for variation in part]
     keys = [
         VariantKey(take_id, variation.variant_id, variation.bone_scale, duets.get(take_id, ""))
         for take_id in takes

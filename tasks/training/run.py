@@ -48,8 +48,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             f"({len(split.train)})"
         )
     done = {"models": None, "model_states": None} | {
-        next(name for name in ("models", "model_states") if name in found.tables): found
-        for found in followed(shard, store)
+        next(name for name in ("models", "model_states") if name in segment.tables): segment
+        for segment in followed(shard, store)
     }
     before, start = done["model_states"], done["models"]
     again = [options.seed] if options.seed else []

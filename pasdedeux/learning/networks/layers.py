@@ -77,7 +77,7 @@ def activity(network: WindowNetwork, batch: Batch) -> dict[str, float]:
     parts: dict[str, list[float]] = defaultdict(list)
     hooks = [
         layer.register_forward_hook(
-            lambda _, __, found, name=name: parts[name].append(float((found > 0.0).float().mean()))
+            lambda _, __, output, name=name: parts[name].append(float((output > 0.0).float().mean()))
         )
         for name, layer in network.named_modules()
         if isinstance(layer, nn.ReLU | nn.GELU)
@@ -86,7 +86,7 @@ def activity(network: WindowNetwork, batch: Batch) -> dict[str, float]:
         network.loss(batch)
     for hook in hooks:
         hook.remove()
-    return {name: 100.0 * float(np.mean(own)) for name, own in parts.items()}
+    return {name: 100.0 * float(np.mean(shares)) for name, shares in parts.items()}
 
 
 def initialise(network: nn.Module, generator: np.random.Generator) -> None:

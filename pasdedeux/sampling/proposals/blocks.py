@@ -85,7 +85,7 @@ def _tied_lengths(block: int) -> tuple[int, int]:
     person, joint = divmod(block, NUM_JOINTS)
     if joint == 0:
         return -1, -1
-    first, *rest = (NUM_PER_PERSON * person + 5 + 3 * one for one in sorted({joint, PAIR17.mirror[joint]}))
+    first, *rest = (NUM_PER_PERSON * person + 5 + 3 * side for side in sorted({joint, PAIR17.mirror[joint]}))
     return first, rest[0] if rest else -1
 
 

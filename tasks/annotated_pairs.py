@@ -141,7 +141,7 @@ def read_people(
 
     Args:
         store: Store.
-        refs: Artifacts with `annotations`; others are passed over.
+        refs: Artifacts with `annotations`; others are ignored.
         is_between: Include frames that only serve to estimate velocity.
         with_held_out: Include held-out annotations.
     """

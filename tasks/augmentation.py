@@ -97,7 +97,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
 
 
 def variations(parameters: AugmentationParameters, num_people: int) -> dict[str, list[Variation]]:
-    """Return the variations of a take of so many people, by the name of the sweep; those without one first.
+    """Return the variations of a take with this number of people by sweep; those of no sweep come first.
 
     Raises:
         InputError: Two sweeps make the same variant, so its name would not tell how it was solved.
@@ -137,7 +137,7 @@ def _check_takes(parameters: AugmentationParameters, takes: Collection[str]) -> 
 def batch_of(manifest: Manifest) -> BatchParameters:
     """Return the parameters of a batch of variants, but for the limits of its verdicts.
 
-    Settings of earlier versions that are constants now are passed over.
+    Settings of earlier versions that are now constants are ignored.
 
     Raises:
         InputError: They are not allowed any more: names the setting.

@@ -69,14 +69,14 @@ class MotionFiles:
 
 @dataclass(frozen=True)
 class Checked:
-    """What was found of a motion.
+    """Result of checking a motion.
 
     Args:
         name: Its name.
         files: Its files.
         level: pass, warn or fail, or unreadable.
         reason: Why.
-        figures: How it was read and all its figures, as JSON values; empty where it cannot be read.
+        figures: How it was read, and all its figures, as JSON values; empty if it cannot be read.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Checked:
 def files_below(paths: Iterable[Path]) -> list[Path]:
     """Return the given files, and the motion files in given folders by their suffix, sorted.
 
-    Of files of one folder that differ in their ending alone, as exports write BVH and npz, the first kind is taken.
+    Of files in one folder that differ in their suffix alone, such as BVH and npz of an export, the first kind is used.
 
     Raises:
         InputError: A path does not exist, or nothing is there.

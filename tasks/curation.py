@@ -64,7 +64,7 @@ _HEADER = "# decision table name content reason\n"
 
 
 class CurationSettings(Settings):
-    """The `[curation]` section: what a person accepted or rejected."""
+    """The `[curation]` section: items accepted or rejected by a person."""
 
     file: Path | None = Field(None, description="Text file of choices, as `view` and `curate` write it")
     choices: dict[str, str] = Field(
@@ -148,7 +148,7 @@ def as_settings(choices: Mapping[str, Choice]) -> dict[str, str]:
 
 
 def choices_in(path: Path) -> dict[str, str]:
-    """Return the choices of a file that somebody named, as a study has them.
+    """Return the choices of a named file, as a study has them.
 
     Raises:
         InputError: There is no such file, or a line is no choice.
@@ -200,7 +200,7 @@ def content_columns(table: str) -> list[str] | None:
 
 
 def names_of(data: TableData) -> np.ndarray:
-    """Return the name of what each row is of (row,)."""
+    """Return the name of the item of each row (row,)."""
     columns = (np.asarray(data[name]).astype(str) for name in IDENTITY[data.table.name])
     return np.array(["/".join(names) for names in zip(*columns, strict=True)])
 
@@ -228,9 +228,9 @@ def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
     """Return which rows (row,) belong to an item; for a clip, those in its frames.
 
     Args:
-        data: The rows; their frames are needed where the name is that of a clip.
-        name: What it is called.
-        names: What `names_of` gives for the rows.
+        data: The rows; their frames are needed if the name is that of a clip.
+        name: Its name.
+        names: Names of the rows, from `names_of`.
     """
     whole, clip = clip_of(name) if data.table.name in CLIPPED else (name, None)
     if clip is None:
@@ -240,10 +240,10 @@ def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
 
 
 def thing_at(data: TableData, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
-    """Return name and content of what is accepted or rejected at a row.
+    """Return name and content of the item at a row that is accepted or rejected.
 
     Args:
-        data: Rows with the columns that `content_columns` names: all of the thing, and perhaps more.
+        data: Rows with the columns that `content_columns` names: all of the item, and perhaps others.
         row: One of them.
         clip: Only from this frame to that one.
 
@@ -268,10 +268,10 @@ def refuse_clips(table: str) -> None:
 
 
 def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) -> Collection[str]:
-    """Return the names of what is rejected and has the content that was looked at.
+    """Return the names of rejected items that still have the content that was judged.
 
     Args:
-        rejected: What `rejections` gave; where that is nothing, nothing is read.
+        rejected: Result of `rejections`; if it is empty, nothing is read.
         batches: Rows with the columns that `content_columns` names.
     """
     parts: dict[str, list[Any]] = {}
@@ -321,17 +321,17 @@ class Choosing:
         read_choices(self.path)
 
     def about(self, table: str, name: str) -> Choice | None:
-        """Return what was chosen, whatever the content was."""
+        """Return the choice on an item, for any content."""
         return read_choices(self.path).get(f"{table} {name}")
 
     def clips(self, table: str, name: str) -> dict[tuple[int, int], Choice]:
-        """Return what was chosen of clips of a thing, by first and last frame, in order; nothing where none can be."""
+        """Return the choices on clips of an item by first and last frame, in order; empty if clips cannot be chosen."""
         chosen = (choice for choice in read_choices(self.path).values() if choice.table == table and table in CLIPPED)
         by_clip = {clip_of(choice.name): choice for choice in chosen}
         return dict(sorted((frames, choice) for (whole, frames), choice in by_clip.items() if whole == name and frames))
 
     def words(self, table: str, name: str, content: str) -> str:
-        """Return what was chosen in words, and whether it was of this content."""
+        """Return the choice in words, and whether it was made for this content."""
         choice = self.about(table, name)
         if choice is None:
             return UNDECIDED

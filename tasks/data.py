@@ -134,7 +134,7 @@ class Clip:
 
     @property
     def picture(self) -> Picture:
-        """What the player shows: the clip, a variant beside its source, with contacts."""
+        """The player: the clip with contacts; a variant beside its source."""
         clips = [clip for clip in (self.source, self) if clip is not None]
         frames, rate_hz = shown_frames(min(len(clip.positions_m) for clip in clips), self.rate_hz)
         panels = []
@@ -184,7 +184,7 @@ class Pairs:
 
     @property
     def picture(self) -> Picture:
-        """What the player shows: some pairs, evenly spread, one after another."""
+        """The player: some pairs, evenly spread, one after another."""
         at = evenly_spread(len(self), _MAX_SHOWN)
         panel = people_panel(self.name, self.skeleton, self.positions_m[at])
         labels = [f"#{self.rows[index]}" for index in at]
@@ -246,7 +246,7 @@ class Data:
         return self.pairs(f"draws:{where}")
 
     def pairs(self, reference: str, *, count: int | None = None, all_methods: bool = True) -> Pairs:
-        """Return the pairs of a table that has some, such as `lifted_pairs:study`; all, or so many evenly spread.
+        """Return the pairs of a table such as `lifted_pairs:study`: all, or a number of them evenly spread.
 
         For lifted pairs, return those of every method, or of the best one for each annotation (`tasks.products`).
 

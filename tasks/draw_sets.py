@@ -14,7 +14,7 @@ from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
 
 GROWN, FILLED = "grown_seeds", "filled_seeds"
-"""Names under which grown pairs, and pairs filled in between, stand beside the densities."""
+"""Names of grown pairs, and of pairs filled in between, among those of the densities."""
 REPAIRED = "_repaired"
 """Ending of the name of a density under which the ends of short chains from grown and filled pairs are kept."""
 

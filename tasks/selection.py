@@ -84,9 +84,9 @@ class _PlausibleRows:
 
 @kept()
 def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> SelectedPairs:
-    """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are passed over.
+    """Select up to `count` pairs from a study's artifacts with the tables of `READS`; others are ignored.
 
-    Where pairs were repaired, only those are selected from: they come from grown and filled pairs, and draws of chains
+    If pairs were repaired, only these are selected from: they come from grown and filled pairs, and draws of chains
     lie farther from real pairs.  Draws of the prior alone, a baseline, are skipped.  A pair is plausible if it
     keeps the joint limits and has a log prior of at least `MIN_LOG_PRIOR`.  One artifact is in memory at a time, and
     all pairs of no chain that differ.

@@ -68,12 +68,11 @@ class Shard:
     Args:
         stage: Name of the stage.
         version: Version of the stage, raised by hand when its results change.
-        partition: What a person sees as one step: a take, a seed, a split.
+        partition: A step as a person sees it: a take, a seed, a split.
         name: Name of the shard, unique in its partition.
         parameters: Everything of the study and of the plan that decides the result.  A stage with several kinds of
             shards has a model for each kind.
-        inputs: Artifacts read, by what they are to the shard ("seed", "views", ...); names and content digests enter
-            the key.
+        inputs: Artifacts read, by their roles ("seed", "views", ...); names and content digests enter the key.
         files: Outside files read; their digests enter the key.
         after: Keys of other shards of the same plan that this one reads; they enter the key.
         seed: Seed of the study.
@@ -151,7 +150,7 @@ class StageName(NamedTuple):
         after: tuple[str, ...] = (),
         notes: Iterable[str] = (),
     ) -> Shard:
-        """Return a shard of the stage; `read` are the artifacts that it reads, by what they are to it."""
+        """Return a shard of the stage; `read` are the artifacts that it reads, by their roles."""
         refs = {use: tuple(manifest.ref for manifest in found) for use, found in (read or {}).items() if found}
         return Shard(*self, partition, name, parameters, refs, tuple(files), after, inputs.seed, notes=tuple(notes))
 

@@ -163,7 +163,7 @@ class QualityMeter:
 
     @property
     def has_stances(self) -> bool:
-        """Whether any joint ever stands on the floor."""
+        """Whether any joint stands on the floor in any frame."""
         return bool(self._stances)
 
     def measure(

@@ -87,7 +87,7 @@ class Variation:
 
 
 def persons_of(who: str, num_people: int) -> list[int]:
-    """Return the numbers of the people that letters (or "all") name, without those who are not there.
+    """Return the numbers of the people that letters (or "all") name, without absent ones.
 
     Letters name the first 26 people; all others are among "all" only.
 
@@ -102,7 +102,7 @@ def check_bone_scales(
 ) -> None:
     """Refuse scales of the wrong shape, or outside 0.05 to 20 (zero, negative and non-finite ones included).
 
-    With `num_people` they have to be those of so many people.
+    With `num_people`, they must be for that number of people.
 
     Raises:
         InputError: With the person and bone at fault.

@@ -96,12 +96,12 @@ def _about_middle(seen_px: Array, height: float, *others_px: Array) -> list[Arra
 
 
 def about_hips(positions_m: Array) -> Array:
-    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
+    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people present."""
     return np.asarray(positions_m - _mean_there(mid_hip(positions_m))[:, None, None])
 
 
 def _mean_there(points: Array) -> Array:
-    """Return the mean (frame, 3) of those points (frame, n, 3) that are there; the origin without any."""
+    """Return the mean (frame, 3) of the known points (frame, n, 3); the origin without any."""
     is_there = np.isfinite(points).all(axis=-1, keepdims=True)
     return np.asarray(np.where(is_there, points, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1))
 
@@ -109,7 +109,7 @@ def _mean_there(points: Array) -> Array:
 def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
     """Turn a motion in camera axes so that it is seen along the ray to the people, as in their image.
 
-    A camera sees somebody at the edge of its image from another side than somebody in the middle.
+    A camera sees a person at the edge of its image from another side than one in the middle.
 
     Args:
         motion_m: Motion to turn (frame, person, 14, 3), camera axes, metres.
@@ -131,6 +131,6 @@ def _height(points: Array) -> float:
 
 
 def _middle(points: Array) -> Array:
-    """Return the middle (2,) of those points (n, 2) that are there."""
+    """Return the median (2,) of the known points (n, 2)."""
     known = points[np.isfinite(points).all(axis=-1)]
     return np.median(known, axis=0) if len(known) else np.zeros(2)

@@ -218,7 +218,7 @@ def draw_pair(axis: Any, points: Array, place: Array = _ORIGIN) -> None:
 
 @dataclass(frozen=True)
 class ShownPerson:
-    """One person: positions (frame, joint, 3) in metres, Y up, NaN where not there, and a colour."""
+    """One person: positions (frame, joint, 3) in metres, Y up, NaN where absent, and a colour."""
 
     skeleton: Skeleton
     positions_m: Array

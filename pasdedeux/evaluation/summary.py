@@ -122,7 +122,7 @@ class Product:
 
     @property
     def words(self) -> str:
-        """What the verdicts say: `usable; contacts kept better than plain forward kinematics`."""
+        """The verdicts in words: `usable; contacts kept better than plain forward kinematics`."""
         said = []
         for name, verdict in self.verdicts.items():
             words = _PRODUCTS[self.name][str(_judge_of(name))]

@@ -168,15 +168,15 @@ _Places = dict[str, dict[tuple[str, str], float]]
 
 @dataclass(frozen=True)
 class Criterion:
-    """The figure that says whether a topic's result is good; every baseline that was scored has to be beaten.
+    """The figure that decides whether a topic's result is good; every scored baseline has to be beaten.
 
     Args:
         metric: Metric of the scores that are drawn.
         figure: Its name in words.
         unit: Its unit.
         thing: Name of the items, in the plural.
-        methods: What is judged: the first of these that was scored; where none is named, the best that is no baseline.
-        name: What is judged, where a topic has more than one verdict; empty: the topic itself.
+        methods: Methods to judge: the first of these that was scored; if none is named, the best that is no baseline.
+        name: Name of the judged result, if a topic has several verdicts; empty for the topic itself.
         is_larger_better: For shares and areas; errors are better smaller.
         limit: Allowed value if there is no method to compare with; otherwise NaN.
     """

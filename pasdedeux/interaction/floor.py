@@ -75,7 +75,7 @@ def find_standing(
 
 
 def floor_under(feet_m: Array, is_standing: Booleans, is_present: Booleans | None = None) -> float:
-    """Return the height of standing ankles over all standing people; over all people if nobody stands.
+    """Return the height of standing ankles over all standing people, or over all people if none stands.
 
     Args:
         feet_m: Ankles (frame, person, foot=2, 3), upright axes, metres.

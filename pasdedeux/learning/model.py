@@ -158,8 +158,8 @@ class Trained:
 class VariantModel(ABC):
     """The protocol of models: trained on items, stored as named arrays, predict motions.
 
-    A model is a class with these members; `MODELS` lists it, and a contract test holds all that are listed to what is
-    said here.  Training twice on the same items gives the same arrays to the last bit, in one go or segment by segment:
+    A model is a class with these members; `MODELS` lists it, and a contract test checks all listed models against these
+    rules.  Training twice on the same items gives the same arrays to the last bit, in one go or segment by segment:
     whatever is drawn comes from the segment's generator.  Positions are metres, float64, axes (frame, person=2, body22
     joint, 3).
     """
@@ -261,8 +261,8 @@ def check_arrays(name: str, arrays: Arrays, wanted: Mapping[str, tuple[int, ...]
 
     Args:
         name: Name of the model.
-        arrays: What is given; more than is wanted is allowed.
-        wanted: Shape of each array that there must be.
+        arrays: The given arrays; additional ones are allowed.
+        wanted: Shape of each required array.
 
     Raises:
         InputError: Names the array that is missing, or of another shape.
@@ -317,7 +317,7 @@ def check_topology(model: VariantModel, source: Source) -> None:
 
 
 def skeleton_of(name: str, num_joints: int) -> Skeleton:
-    """Return the skeleton of so many joints that a model's arrays are of.
+    """Return the skeleton, with this number of joints, of a model's arrays.
 
     Raises:
         InputError: There is none.

@@ -131,7 +131,7 @@ class _Header(_Versioned, extra="forbid"):
 
 
 def write_weights(weights: Weights) -> bytes:
-    """Return a safetensors file: every array in the type it has, and in the metadata what it is of.
+    """Return a safetensors file: every array in its own type, and the description in the metadata.
 
     Raises:
         InputError: safetensors is not installed.

@@ -63,7 +63,7 @@ class WindowVae(VariantModel):
 
     Args:
         options: Settings, with the sizes of the network.
-        known_scales: What is kept of the scales of training (n, J), see `learned_scales`.
+        known_scales: Statistics of the training scales (n, J), see `learned_scales`.
         network: The network.
     """
 

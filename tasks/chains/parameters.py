@@ -52,7 +52,7 @@ class RunSettings(Settings):
 
 
 class ChainsParameters(SweptParameters, RunSettings, RepairSettings, TargetSettings, AnnotationSettings):
-    """What is sampled, how much, and with which steps.
+    """Densities to sample, the number of draws, and the steps.
 
     A sweep samples the first of its densities and keeps the draws under its own name.
     """

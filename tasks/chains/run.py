@@ -219,7 +219,7 @@ class ChainProblem:
 
 
 def chain_problem(shard: Shard, options: ChainSegmentParameters, store: Store) -> ChainProblem:
-    """Put together what a segment samples: from seed and evidence to density and proposal.
+    """Assemble the target of a segment: from seed and evidence to density and proposal.
 
     Raises:
         InputError: The seed has density 0, with the term that made it so, or is no pair; names the seed.

@@ -63,7 +63,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 class _ShownAugmentation(NamedTuple):
-    """What is drawn of a take: motions (T, P, 22, 3), metres, by name, and scale and quality of all variants."""
+    """Input of a take's pictures: motions (T, P, 22, 3), metres, by name, and scale and quality of all variants."""
 
     take_id: str
     source: Source

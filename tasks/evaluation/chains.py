@@ -48,7 +48,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 class _ShownChains(NamedTuple):
-    """What is drawn of a shard.
+    """Input of a shard's pictures.
 
     Args:
         states: By density, states of its chain (state, 2, 17, 3), metres, and the reference of each.

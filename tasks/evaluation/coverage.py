@@ -115,7 +115,7 @@ class _Dots(NamedTuple):
 
 
 class _ShownCoverage(NamedTuple):
-    """What is drawn of a part of the real frames, in `words`: curves, real pairs and draws, and the first seed."""
+    """Input of the pictures of a part of the real frames, in `words`: curves, real pairs, draws, and the first seed."""
 
     split: str
     words: str

@@ -69,7 +69,7 @@ _NEAREST, _REAL = "nearest_annotation", "real_frames"
 
 
 class _ShownLeaveOneOut(NamedTuple):
-    """What is drawn: curves by part and method, annotations (n, 2, 17, 2), and those that draws of methods are nearest.
+    """Input of the pictures: curves by part and method, annotations (n, 2, 17, 2), and those nearest to draws.
 
     `left_out_m` (k, 2, 17, 2) are annotations that draws were not made from.  Curves of `baselines` are dashed.
     """
@@ -133,7 +133,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLeaveOneOut]:
         images, directions = _images(chosen), [np.concatenate([seen.directions, views]) for seen in chosen]
         curves[split] = {name: nearest_curve(images, directions, pairs) for name, pairs in draws.items()}
         curves[split][_NEAREST] = {len(known): np.nanmin(image_distances(images, _images(known)), axis=1)}
-        # The last counts: held-out takes where there are any, else images left out of what draws are made from.
+        # The last one counts: held-out takes if there are any, else images that draws were not made from.
         times = _takes_and_times(facts, truth, [seen.place for seen in chosen], stills)
         items = Items({name: list(curve.values())[-1] for name, curve in curves[split].items()}, *times)
     scores = [score for split, of_part in curves.items() for score in nearest_draw_scores(of_part, split=split)]

@@ -68,7 +68,7 @@ class LiftedPairsSettings(Parameters):
 
 
 class _ShownLifting(NamedTuple):
-    """What is drawn of a shard.
+    """Input of a shard's pictures.
 
     Args:
         expected_m: By part, expected errors with their interval (n, 3) and true errors (n,), metres.
@@ -110,7 +110,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
 
 
 def _draw(shown: _ShownLifting) -> Iterator[Picture]:
-    """Draw expected errors over true ones, examples of each part, and lifted pairs beside what is most like them."""
+    """Draw expected errors over true ones, examples of each part, and lifted pairs beside the most similar ones."""
     if shown.expected_m:
         caption = (
             "Expected error of each lifted pair, estimated without ground truth, against its true error. "

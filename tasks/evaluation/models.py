@@ -78,11 +78,11 @@ def _split_name(facts: ModelFacts) -> str:
 
 
 class _ShownModels(NamedTuple):
-    """What is drawn of a split.
+    """Input of a split's pictures.
 
     Args:
         split: Name of the split.
-        caption: What its curves show.
+        caption: Caption of its curves.
         keys: Its test variants.
         errors: Errors of each model on them.
         baselines: Models that are dashed.

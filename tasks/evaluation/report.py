@@ -40,7 +40,7 @@ _MAX_PICTURES = 24
 _MAX_ROWS = 500
 """Rows of a table within the page, at most; `scores` has all."""
 READS = ("takes", "take_quality", "joint_limits", "training_log")
-"""Tables that the page and the card read beside those of the topics; of a skipped take only its quality is there."""
+"""Tables that the page and the card read besides those of the topics; a skipped take has its quality only."""
 
 
 class PageSettings(Parameters):
@@ -245,7 +245,7 @@ def _worst_and_best_first(parts: Sequence[Manifest]) -> list[Manifest]:
 
 @dataclass(frozen=True)
 class DatasetCard:
-    """Everything the card says: of the study, what was built, rows by table, which takes are held out, known limits."""
+    """The content of the card: the study, its products, rows by table, held-out takes, known limits."""
 
     title: str
     description: str
@@ -273,7 +273,7 @@ def _card(
 
 
 def card_tables(card: DatasetCard) -> list[TextTable]:
-    """Return the card as tables for the report; what was skipped has a section of its own there."""
+    """Return the card as tables for the report, without skipped data, which have a section of their own there."""
     sources = [(source.name, source.licence, source.credit) for source in card.summary.sources]
     takes = [(take, "held out for evaluation" * is_held_out) for take, is_held_out in card.is_held_out.items()]
     contents = [(name, f"{count:,}") for name, count in sorted(card.rows.items())]

@@ -94,7 +94,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     for file in section.files:
         load_seed(file)
     if ingest is None or any(family.takes is None for family in ingest.pairs.values()):
-        return  # what lies in a folder is read with its files
+        return  # files of a folder are known only when it is read
     takes = ingest.take_ids()
     video = ingest.virtual_video
     has_annotations = bool(
@@ -104,7 +104,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
 
 
 def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_annotations: bool) -> None:
-    """Refuse seeds of takes or of annotations that are not there; `takes` are those that may be learned from.
+    """Refuse seeds of missing takes or annotations; `takes` are those that may be learned from.
 
     Raises:
         InputError: Says which key asks for what is not there.

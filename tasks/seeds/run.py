@@ -138,7 +138,7 @@ def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
 
 
 def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
-    """Lift annotations that stand for all of them from 2D alone."""
+    """Lift representative annotations from 2D alone."""
     placed = _annotated(shard, store)
     seeds = lift_seeds(
         placed.gathered.pairs,
@@ -291,7 +291,7 @@ def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
 def _share_verdict(
     count: int, wanted: int, figure: str, *, thing: str, warning: str, min_share: float = 1.0
 ) -> Verdict:
-    """Return the share made of what was wanted, with the warning where it is below the smallest good share."""
+    """Return the verdict on the share of the wanted items that were made: a warning below the smallest good share."""
     is_good = count >= min_share * wanted
     level, reason = (Level.PASS, "") if is_good else (Level.WARN, warning)
     return Verdict(level, reason, figure, 100.0 * count / max(wanted, 1), "%", count=wanted, thing=thing)

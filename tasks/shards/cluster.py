@@ -1,4 +1,4 @@
-"""The workers: a local Dask cluster that cannot outlive the run, or somebody's scheduler, checked before use."""
+"""The workers: a local Dask cluster that cannot outlive the run, or an existing scheduler, checked before use."""
 
 from __future__ import annotations
 

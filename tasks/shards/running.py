@@ -176,7 +176,7 @@ class Pool:
         """Return the result of a shard; None if it was lost with a worker and is computed again.
 
         Raises:
-            ClusterError: There is nobody left to compute.
+            ClusterError: No worker is left.
         """
         future = self._futures[shard.key]
         try:
@@ -287,7 +287,7 @@ class ClusterPool(Pool):
         self._count_workers()
 
     def work(self) -> bool:
-        """Count the workers of somebody's cluster: they come and go; ClusterError where none is left."""
+        """Count the workers of a shared cluster, which join and leave; ClusterError if none is left."""
         if self._is_shared and time.monotonic() - self._counted_at > _COUNT_AGAIN_S:
             self._tell_refused()
             self._count_workers()

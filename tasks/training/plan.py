@@ -87,7 +87,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     if "ingest" not in sections or "augmentation" not in sections:
         return
     if any(family.takes is None for family in sections["ingest"].pairs.values()):
-        return  # what lies in the folder is read with its files
+        return  # files of the folder are known only when it is read
     ingest = sections["ingest"]
     duets = {duet.take_id: duet.name for duet in ingest.resolved_duets()}
     takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]

@@ -39,7 +39,7 @@ class WindowNetwork(nn.Module):
     def forward(self, batch: Batch, *, is_posterior: bool = False) -> Tensor:
         """Return how far both move from the template (W, T, 2, J, 3), metres.
 
-        z is by the batch's noise (0 is the mean of the prior), or the mean of what the encoders make of the answer.
+        z comes from the batch's noise (0 is the mean of the prior), or is the encoders' mean for the answer.
         """
         raise NotImplementedError
 
@@ -215,7 +215,7 @@ class GraphGru(nn.Module):
 
 
 def _next_state(given: Tensor, kept: Tensor, state: Tensor) -> Tensor:
-    """Return the state after gates, of what is given and of the state before."""
+    """Return the state after the gates, from the inputs and the previous state."""
     of_given, of_state = given.chunk(3, -1), kept.chunk(3, -1)
     reset, update = torch.sigmoid(of_given[0] + of_state[0]), torch.sigmoid(of_given[1] + of_state[1])
     return update * state + (1.0 - update) * torch.tanh(of_given[2] + reset * of_state[2])

@@ -9,6 +9,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled
+from pasdedeux.kinematics.rotation_kernels import cross, divide, length, normalise, put_row, row_of, subtract
 from pasdedeux.skeletons import Skeleton
 
 _TINY = 1e-12
@@ -121,15 +122,9 @@ def directions_of(positions: Array, parents: Integers) -> Array:
     for t in range(positions.shape[0]):
         for point in range(positions.shape[1]):
             before = parents[point] if parents[point] >= 0 else point
-            x = positions[t, point, 0] - positions[t, before, 0]
-            y = positions[t, point, 1] - positions[t, before, 1]
-            z = positions[t, point, 2] - positions[t, before, 2]
-            length = np.sqrt(x * x + y * y + z * z)
-            if not length > _TINY:
-                x, y, z, length = 0.0, 1.0, 0.0, 1.0
-            directions[t, point, 0] = x / length
-            directions[t, point, 1] = y / length
-            directions[t, point, 2] = z / length
+            bone = subtract(row_of(positions[t], point), row_of(positions[t], before))
+            size = length(bone)
+            put_row(directions[t], point, divide(bone, size) if size > _TINY else (0.0, 1.0, 0.0))
     return directions
 
 
@@ -157,13 +152,12 @@ def tangents_of(directions: Array) -> Array:
     tangents = np.empty((*directions.shape, 2))
     for t in range(directions.shape[0]):
         for point in range(directions.shape[1]):
-            x, y, z = directions[t, point, 0], directions[t, point, 1], directions[t, point, 2]
-            a, b, c = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)
-            length = np.sqrt(a * a + b * b + c * c)
-            a, b, c = (a / length, b / length, c / length) if length > _TINY else (0.0, 0.0, 0.0)
-            first, second = tangents[t, point, :, 0], tangents[t, point, :, 1]
-            first[0], first[1], first[2] = a, b, c
-            second[0], second[1], second[2] = y * c - z * b, z * a - x * c, x * b - y * a
+            direction = row_of(directions[t], point)
+            x, y, z = direction
+            first = normalise((0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x))
+            second = cross(direction, first)
+            for axis in range(3):
+                tangents[t, point, axis, 0], tangents[t, point, axis, 1] = first[axis], second[axis]
     return tangents
 
 
@@ -176,12 +170,8 @@ def turn_bones(directions: Array, tangents: Array, step: Array, parents: Integer
             if parents[point] < 0:
                 continue
             u, v = step[t, starts[point]], step[t, starts[point] + 1]
-            squared = 0.0
             for axis in range(3):
                 moved = directions[t, point, axis] + tangents[t, point, axis, 0] * u + tangents[t, point, axis, 1] * v
                 turned[t, point, axis] = moved
-                squared += moved * moved
-            length = np.sqrt(squared)
-            for axis in range(3):
-                turned[t, point, axis] = turned[t, point, axis] / length if length > _TINY else 0.0
+            put_row(turned[t], point, normalise(row_of(turned[t], point)))
     return turned

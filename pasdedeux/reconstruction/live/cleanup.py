@@ -12,12 +12,12 @@ import numpy as np
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.floor import StandingSettings
-from pasdedeux.kinematics.rotation_kernels import mix, put_row, row_of
+from pasdedeux.kinematics.rotation_kernels import divide, dot, mix, put_row, row_of, scale, subtract
 from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg, facing_of
 from pasdedeux.skeletons import OP14
 
 _LEGS = np.array(OP14.legs)
-_UP, _AWAY = 1, 2
+_UP = 1
 _FLOOR_QUANTILE = 0.1
 _LEAVING = 1.5
 """A planted foot is released at this multiple of the speed and the height at which feet are planted."""
@@ -117,39 +117,30 @@ def _clean_pose(
     pose: Array, passed: float, floor: float, is_planted: Flags, raw: Array, anchor: Array, offset: Array, shift: Array
 ) -> Array:
     """Return the cleaned pose (14, 3), and update the state of both feet and of the path."""
-    legs, up = _LEGS, _UP
-    lower = min(pose[legs[0, 2], up], pose[legs[1, 2], up])
-    wanted = np.zeros(3)
+    legs = _LEGS
+    lower = min(pose[legs[0, 2], _UP], pose[legs[1, 2], _UP])
+    path, wanted = (shift[0], shift[1], shift[2]), (0.0, 0.0, 0.0)
     count = 0
     for foot in range(2):
-        ankle = legs[foot, 2]
+        ankle = row_of(pose, legs[foot, 2])
         slack = _LEAVING if is_planted[foot] else 1.0
         is_slow = False
         if passed > 0.0:
-            squared = 0.0
-            for axis in range(3):
-                part = (pose[ankle, axis] - raw[foot, axis]) / passed
-                if axis == _AWAY:
-                    part *= _AWAY_SHARE
-                squared += part * part
-            is_slow = squared < (slack * _CONTACT_SPEED_M_S) ** 2
-        height = pose[ankle, up]
+            speed = divide(subtract(ankle, row_of(raw, foot)), passed)
+            speed = (speed[0], speed[1], _AWAY_SHARE * speed[2])
+            is_slow = dot(speed, speed) < (slack * _CONTACT_SPEED_M_S) ** 2
         reach = slack * _CONTACT_HEIGHT_M
-        stays = is_slow and height < lower + reach and height < floor + 2.0 * reach
+        stays = is_slow and ankle[1] < lower + reach and ankle[1] < floor + 2.0 * reach
         if stays and is_planted[foot]:
-            drift = 0.0
-            for axis in range(3):
-                drift += (anchor[foot, axis] - pose[ankle, axis] - shift[axis]) ** 2
-            stays = drift < _MAX_DRIFT_M**2
+            drift = subtract(subtract(row_of(anchor, foot), ankle), path)
+            stays = dot(drift, drift) < _MAX_DRIFT_M**2
         if stays and not is_planted[foot]:
-            for axis in range(3):
-                anchor[foot, axis] = pose[ankle, axis] + shift[axis] + offset[foot, axis]
-            anchor[foot, up] = max(anchor[foot, up], floor)
+            put_row(anchor, foot, mix(1.0, mix(1.0, ankle, 1.0, path), 1.0, row_of(offset, foot)))
+            anchor[foot, _UP] = max(anchor[foot, _UP], floor)
         is_planted[foot] = stays
-        for axis in range(3):
-            raw[foot, axis] = pose[ankle, axis]
-            if stays:
-                wanted[axis] += anchor[foot, axis] - pose[ankle, axis]
+        put_row(raw, foot, ankle)
+        if stays:
+            wanted = mix(1.0, wanted, 1.0, subtract(row_of(anchor, foot), ankle))
         count += stays
     for axis in range(3):
         if count > 0:
@@ -161,12 +152,11 @@ def _clean_pose(
     for foot in range(2):
         hip, knee, ankle = legs[foot, 0], legs[foot, 1], legs[foot, 2]
         if is_planted[foot]:
-            squared = 0.0
-            for axis in range(3):
-                offset[foot, axis] = anchor[foot, axis] - cleaned[ankle, axis]
-                squared += offset[foot, axis] ** 2
+            bend = subtract(row_of(anchor, foot), row_of(cleaned, ankle))
+            squared = dot(bend, bend)
             if squared > MAX_BEND_M**2:
-                offset[foot] *= MAX_BEND_M / np.sqrt(squared)
+                bend = scale(MAX_BEND_M / np.sqrt(squared), bend)
+            put_row(offset, foot, bend)
         else:
             offset[foot] *= np.exp(-passed / BLEND_S)
         end = row_of(cleaned, ankle)

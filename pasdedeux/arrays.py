@@ -1,7 +1,7 @@
 """Types of arrays; docstrings give the axes."""
 
 import math
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,3 +25,14 @@ def merge_axes(array: npt.NDArray[_Item], start: int, stop: int | None = None) -
     shape = array.shape
     low, high, _ = slice(start, stop).indices(len(shape))
     return array.reshape(*shape[:low], math.prod(shape[low:high]), *shape[high:])
+
+
+def interpolate(places: npt.NDArray[Any], known: npt.NDArray[Any], values: Array) -> Array:
+    """Return values (n, *axes) of rising places (n,) at other places (m,), linearly between; ends repeat.
+
+    >>> interpolate(np.array([0.5, 9.0]), np.array([0.0, 1.0]), np.array([[2.0, 0.0], [4.0, 1.0]])).tolist()
+    [[3.0, 0.5], [4.0, 1.0]]
+    """
+    columns = merge_axes(values, 1).T
+    between = np.stack([np.interp(places, known, column) for column in columns], axis=-1)
+    return between.reshape(len(places), *values.shape[1:])

@@ -88,14 +88,14 @@ class DrawIndex:
         Raises:
             InputError: No view, or fewer than 4 joints seen.
         """
-        joints, image = self._seen(image_m)
+        joints, image = _seen(image_m)
+        image = image - image.mean(axis=0)
         if not len(directions):
             raise InputError("retrieval needs at least one view of the annotation")
         count = min(count, self.num_draws)
         views = normalise(np.asarray(directions, dtype=np.float64))
         first = joints < len(_FIRST)
-        few = joints[first] if first.sum() >= 3 else joints
-        near = image[first] if first.sum() >= 3 else image
+        few, near = (joints[first], image[first]) if first.sum() >= 3 else (joints, image)
         coarse = np.empty((len(views), len(self._points), LANES), dtype=np.float32)
         centred = (near - near.mean(axis=0)).astype(np.float32)
         for view, direction in enumerate(views):
@@ -142,16 +142,14 @@ class DrawIndex:
         return self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
 
     def _seen_as(self, points: Array, tilt: Array, directions: Array, image_m: Array) -> Array:
-        joints, _ = self._seen(image_m)
+        joints, image = _seen(image_m)
         seen_from = view_rotmat(_towards(tilt, normalise(directions)), np.array([0.0, 1.0, 0.0]))
         points = np.einsum("nij,nkj->nki", seen_from, points)
         points = points - points[:, joints].mean(axis=1, keepdims=True)
-        image = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER][joints]
         centre = image.mean(axis=0)
-        a = np.sum(points[:, joints, :2] * (image - centre), axis=(1, 2))
-        b = np.sum(
-            points[:, joints, 0] * (image - centre)[:, 1] - points[:, joints, 1] * (image - centre)[:, 0], axis=1
-        )
+        image = image - centre
+        a = np.sum(points[:, joints, :2] * image, axis=(1, 2))
+        b = np.sum(points[:, joints, 0] * image[:, 1] - points[:, joints, 1] * image[:, 0], axis=1)
         angle = np.arctan2(b, a)[:, None]
         cosine, sine = np.cos(angle), np.sin(angle)
         out = np.empty(points.shape)
@@ -159,15 +157,6 @@ class DrawIndex:
         out[:, _ORDER, 1] = sine * points[..., 0] + cosine * points[..., 1] + centre[1]
         out[:, _ORDER, 2] = points[..., 2]
         return out.reshape(len(points), 2, PAIR17.num_joints, 3)
-
-    def _seen(self, image_m: Array) -> tuple[Integers, Array]:
-        """Return the seen joints, by their place in the index, and their centred image points."""
-        points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER]
-        joints = np.flatnonzero(np.isfinite(points).all(axis=1))
-        if len(joints) < MIN_SEEN:
-            raise InputError(f"{len(joints)} joints of the two people are seen; retrieval needs at least {MIN_SEEN}")
-        image = points[joints]
-        return joints, image - image.mean(axis=0)
 
     def _measured(
         self, draws: Integers, views: Array, image: Array, joints: Integers, *, ceiling_m2: float = np.inf
@@ -181,6 +170,15 @@ class DrawIndex:
             refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, errors)
             squared[:, view] = errors
         return squared
+
+
+def _seen(image_m: Array) -> tuple[Integers, Array]:
+    """Return the seen joints, by their place in the index, and their image points."""
+    points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[_ORDER]
+    joints = np.flatnonzero(np.isfinite(points).all(axis=1))
+    if len(joints) < MIN_SEEN:
+        raise InputError(f"{len(joints)} joints of the two people are seen; retrieval needs at least {MIN_SEEN}")
+    return joints, points[joints]
 
 
 def _towards(tilt: Array, direction: Array) -> Array:

@@ -109,11 +109,7 @@ def radius_per_height(skeleton: Skeleton) -> Array:
 @compiled()
 def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> float:
     """Return the distance between segments a and b, all ends (3,); a segment may be a point."""
-    a = (start_a[0], start_a[1], start_a[2])
-    b = (start_b[0], start_b[1], start_b[2])
-    along_a = (end_a[0] - a[0], end_a[1] - a[1], end_a[2] - a[2])
-    along_b = (end_b[0] - b[0], end_b[1] - b[1], end_b[2] - b[2])
-    return _distance(along_a, along_b, subtract(a, b))
+    return _distance(subtract(end_a, start_a), subtract(end_b, start_b), subtract(start_a, start_b))
 
 
 @inner_kernel()

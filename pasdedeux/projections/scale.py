@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, interpolate
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
@@ -198,7 +198,7 @@ def _smooth_path(place: Array, window: int) -> Array:
     length = min(max(5, window // 5) | 1, len(place) - (len(place) + 1) % 2)
     if not is_known.any() or length < _PATH_ORDER + 2:
         return place
-    path = np.stack([np.interp(frames, frames[is_known], axis[is_known]) for axis in place.T], axis=-1)
+    path = interpolate(frames, frames[is_known], place[is_known])
     from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
 
     smooth = savgol_filter(path, length, _PATH_ORDER, axis=0, mode="interp")

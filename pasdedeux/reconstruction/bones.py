@@ -19,6 +19,7 @@ from pasdedeux.kinematics.rotation_kernels import (
     mix,
     multiply,
     normalise,
+    put_row,
     put_unitquat,
     rotate,
     row_of,
@@ -131,8 +132,7 @@ def _place_bones(unitquat: Array, lengths: Array) -> Array:
             turn = multiply(unitquat_of(world, parent), unitquat_of(unitquat[at], joint))
             put_unitquat(world, joint, turn)
             bone = rotate(turn, row_of(_REST, joint))
-            for axis in range(3):
-                pose[joint, axis] = pose[parent, axis] + lengths[at, joint] * bone[axis]
+            put_row(pose, joint, mix(1.0, row_of(pose, parent), lengths[at, joint], bone))
         for axis in range(3):
             pose[:, axis] -= 0.5 * (pose[_LEFT_HIP, axis] + pose[_RIGHT_HIP, axis])
     return positions

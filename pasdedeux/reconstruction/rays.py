@@ -55,6 +55,4 @@ def camera_turns(directions: Array) -> Array:
 @compiled()
 def turn_with_camera(towards: Array, point: Array) -> Array:
     """Return a point (3,), given in axes of a camera turned into a direction (3,), in axes of the unturned camera."""
-    turned, x, y, z = np.empty((1, 3)), towards[0], towards[1], towards[2]
-    put_row(turned, 0, rotate(swing_between((0.0, 0.0, 1.0), (x, y, z)), (point[0], point[1], point[2])))
-    return turned[0]
+    return np.array(rotate(swing_between((0.0, 0.0, 1.0), towards), point))

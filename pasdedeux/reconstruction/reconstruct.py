@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.arrays import Array, Flags, Integers, interpolate
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import fit_observed, flatten_image, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
@@ -17,6 +17,7 @@ from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.depth import bone_vectors, decode_depths, place_depths
+from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.matching import Matches, Method, ReconstructionOptions, Searcher, match_track, odd_window
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.rays import camera_turns
@@ -169,7 +170,7 @@ def reconstruct_track(
         row=row if searcher.source_row is None else np.where(is_known, searcher.source_row[row], -1),
         is_bridged=~is_known,
         metres_per_pixel=placement.metres_per_pixel,
-        correction_m=_mean_distance_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),
+        correction_m=root_centred_error_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),
         noise_m=image_noise(matches.query_m, matches.weights > 0),
     )
 
@@ -191,12 +192,6 @@ def _published_matches(searcher: Searcher, matches: Matches) -> Matches:
         proportions=np.ones(OP14.num_joints),
         yaw_steps=neighbours.yaw_index.astype(np.float64),
     )
-
-
-def _mean_distance_m(first: Array, second: Array) -> Array:
-    """Return the mean distance (frame,) of the joints of poses (frame, 14, 3), mid-hips aligned."""
-    first, second = (poses - mid_hip(poses)[:, None] for poses in (first, second))
-    return np.asarray(np.linalg.norm(first - second, axis=-1).mean(axis=-1))
 
 
 def _fit(
@@ -288,7 +283,7 @@ def _smooth_seen(points: Array, is_seen: Flags, window: int) -> Array:
         seen = is_seen[:, joint]
         if not seen.any():
             continue
-        path = np.stack([np.interp(frames, frames[seen], axis[seen]) for axis in points[:, joint].T], axis=-1)
+        path = interpolate(frames, frames[seen], points[seen, joint])
         smooth[seen, joint] = _smooth_path(path, window)[seen]
     return smooth
 
@@ -308,6 +303,6 @@ def _root_before_camera(
     frames = np.arange(len(root))
     is_placed = np.logical_and(is_known, np.isfinite(placement.mid_hip_px).all(axis=-1))
     if is_placed.any():
-        root = np.stack([np.interp(frames, frames[is_placed], column[is_placed]) for column in root.T], axis=-1)
+        root = interpolate(frames, frames[is_placed], root[is_placed])
     towards = -root / np.linalg.norm(root, axis=-1, keepdims=True)
     return root, towards

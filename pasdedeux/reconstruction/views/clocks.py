@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array, Flags, interpolate
 from pasdedeux.errors import InputError
 from pasdedeux.projections.retarget import mid_hip
 
@@ -44,7 +44,7 @@ class Rising:
         from scipy.ndimage import gaussian_filter1d  # here: planning does not need it
 
         grid_s = np.arange(times_s[0], times_s[-1] + 1e-9, 1.0 / rate_hz)
-        even_m = np.stack([np.interp(grid_s, times_s, values) for values in height_m.T], axis=-1)
+        even_m = interpolate(grid_s, times_s, height_m)
         known = np.interp(grid_s, times_s, is_known.astype(np.float64)) > 0.99
         speed_m_s = np.gradient(even_m, axis=0) * rate_hz if len(even_m) > 1 else 0.0 * even_m
         return cls(float(times_s[0]), gaussian_filter1d(speed_m_s, _SMOOTHING_S * rate_hz, axis=0), known)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pasdedeux.arrays import Array
+from pasdedeux.arrays import Array, interpolate
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.calibration import CalibratedCamera
@@ -407,8 +407,7 @@ def _placed(
             continue
         times_s = person.track.times_s + offset_s
         is_both = (times_s >= same.track.times_s[0]) & (times_s <= same.track.times_s[-1])
-        flat = _upright_m(other, same).reshape(len(same.track.frames), -1)
-        moved = np.stack([np.interp(times_s[is_both], same.track.times_s, values) for values in flat.T], axis=-1)
+        moved = interpolate(times_s[is_both], same.track.times_s, _upright_m(other, same))
         ours_m.append(_upright_m(first, person)[is_both].reshape(-1, 3))
         theirs_m.append(moved.reshape(-1, 3))
     ours, them = np.concatenate(ours_m), np.concatenate(theirs_m)

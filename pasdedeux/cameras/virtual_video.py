@@ -110,7 +110,7 @@ def frame_take(positions: Array, roots: Array, *, distance_m: float, yaw_rad: fl
 
     Args:
         positions: Every joint of every person and frame to be seen, (*batch, 3), metres.
-        roots: Roots of the people, (*batch, 3), metres; their mean is looked at.
+        roots: Roots of the people, (*batch, 3), metres; the camera looks at their mean.
         distance_m: Wanted distance from the camera to the mean root; grown where a joint would come nearer than
             1 m to the image plane.  The focal length grows with it, so people keep their size.
         yaw_rad: Azimuth of the camera.

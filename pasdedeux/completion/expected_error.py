@@ -15,29 +15,30 @@ from pasdedeux.arrays import Array
 
 ERROR_PER_CORRECTION, ERROR_PER_SIZE, SHARE_WITH_OWN_DRAW = 1.14, 0.107, 0.83
 LOW_SHARE, HIGH_SHARE = 0.63, 1.58
-"""Mean error of a joint over how far the fit moved joints and over the size of the image, and what is left of it where
-a draw that was lifted from the image itself took part; least squares of logarithms over 1,360 lifts of 15 takes'
-virtual video (eleven of salsa, four duets; seen and unseen takes, whole or with 15 % of the joints hidden; draws grown,
-and of chains); and where 80 % of true errors lie about that.  Fitted to other takes than each judged one, expected and
-true error correlate at 0.71 and 78 % of the errors are inside (0.69 and 79 % on 306 whole images of takes that no draw
-was made from; 57 % of the duets that draws were made from).  Of a take of salsa lifted from 2D alone, which nothing was
-fitted to, 87 % are inside (70 % without the third number; 14 cm expected, 13 found).  The spread of near draws and d_I
-add nothing; among images with a draw of their own nothing predicts the error (0.08)."""
+"""Weights of the mean error of a joint: per correction by the fit, and per size of the image; factor if a draw lifted
+from the image contributed; and the interval of true errors over expected ones that holds in 80 %.
+
+Least squares of logarithms over 1,360 lifts of 15 takes' virtual video (eleven of salsa, four duets; seen and unseen
+takes, whole or with 15 % of the joints hidden; draws grown, and of chains).  If weights are fitted without the judged
+take, expected and true errors correlate at 0.71, and 78 % of the errors are in the interval (0.69 and 79 % for 306
+whole images of takes without draws; 57 % for the duets from which draws were made).  For a take of salsa lifted from 2D
+alone, which was not used for any fit, 87 % are in the interval (70 % without the third number; 14 cm expected, 13
+true).  The spread of near draws and d_I add nothing; among images with a draw of their own, nothing predicts the error
+(0.08)."""
 
 OVER_TIME_FACTOR, OVER_TIME_POWER = 0.52, 0.38
 LOW_OVER_TIME, HIGH_OVER_TIME = 0.68, 1.61
-"""The same of pairs lifted with others of their camera: the error over the product of what is expected of the pair
-alone and of the scene's poses and places, metres, to this power; and where 80 % of true errors lie about that.  Least
-squares of logarithms over 196 pairs of 14 videos of six families of takes, each lifted from grown pairs of the
-others."""
+"""The same for pairs lifted with others of their camera: factor and power of the product of two expected errors, that
+of the pair alone and that by poses and places of the scene, metres; and the interval that holds in 80 %.  Least squares
+of logarithms over 196 pairs of 14 videos of six families of takes, each lifted from grown pairs of the others."""
 
 OF_DATABASE = 0.76
 LOW_OF_DATABASE, HIGH_OF_DATABASE = 0.45, 1.96
-"""The same of pairs lifted by the takes of a projection database: the error over what is expected of the scene's poses
-and places.  Means of logarithms over 302 pairs of the same videos, the database without their families, and the scatter
-within families and between them; families left out of that in turn, 88 % are inside, as are 88 % of 112 pairs of the
-built-in duets, which nothing was fitted to.  What is expected of the pair alone is of draws: with it the score of
-intervals falls (docs/decisions)."""
+"""The same for pairs lifted by takes of a projection database: factor on the expected error by poses and places of the
+scene, and its interval.  Means of logarithms over 302 pairs of the same videos, with a database without their families,
+and the scatter within families and between them.  With families left out in turn, 88 % are in the interval, as are 88 %
+of 112 pairs of the built-in duets, which were not used for any fit.  The expected error of the pair alone holds for
+draws: with it, the score of intervals falls (docs/decisions)."""
 
 
 class ExpectedError(NamedTuple):

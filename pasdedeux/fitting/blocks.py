@@ -7,7 +7,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 
 
-class NotPositiveDefinite(ArithmeticError):  # noqa: N818 - says what the matrix is; callers answer with more damping
+class NotPositiveDefinite(ArithmeticError):  # noqa: N818 - describes the matrix; callers increase the damping
     """The matrix is not positive definite."""
 
 

@@ -39,7 +39,7 @@ class BoneVectorTerm(Term):
     Args:
         skeleton: Tree of N joints.
         targets_m: Vector of the bone that ends in each joint (T, N, 3), metres; the root's is ignored.
-        weights: (T, N, 3) or what broadcasts to it; the root's are ignored.
+        weights: (T, N, 3) or broadcasts to it; the root's are ignored.
     """
 
     skeleton: Skeleton
@@ -97,7 +97,7 @@ def third_differences(observed_m: Array, is_seen: Flags) -> Array:
 
 
 def noise_of_differences(third: Array) -> float:
-    """Return the noise that third differences (m, 2) tell, see `image_noise`."""
+    """Return the noise by third differences (m, 2), see `image_noise`."""
     if len(third) < _FEWEST_DIFFERENCES:
         return 0.0
     return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0))

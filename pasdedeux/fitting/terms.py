@@ -240,7 +240,7 @@ class HalfSpaceTerm(Term):
     Args:
         origin_m: (T, N, 3), metres.
         points: Points of each combination (T, m, k).
-        shares: What each contributes (T, m, k).
+        shares: Share of each (T, m, k).
         normals: Unit vectors n (T, m, 3).
         limits_m: (T, m).
         weights: (T, m); 0 for unused places.

@@ -1,1 +1,1 @@
-"""Reconstruction: motion of one or several people from 2D, by the projection database and a fit to what was seen."""
+"""Reconstruction: motion of one or several people from 2D, by the projection database and a fit to the image."""

@@ -124,8 +124,8 @@ def reconstruct_track(
         track: The keypoints.
         method: `nearest` takes each frame's best match as it is (the baseline); `window` and `viterbi` choose over time
             and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths); `published` is
-            `window` over what the published search finds, on the database's own body; `fit` goes on from `viterbi` to
-            the image itself.
+            `window` over the results of the published search, on the database's body; `fit` also fits `viterbi` to the
+            image.
         options: Settings.
         matches: Result of `match_track` for this track, if it is known.
 

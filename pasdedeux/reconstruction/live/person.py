@@ -227,7 +227,7 @@ class _Chain:
         weights = np.where(np.isfinite(points).all(axis=-1), np.nan_to_num(confidence), 0.0)
         seen = None
         if np.count_nonzero(weights > 0) >= MIN_JOINTS:
-            with suppress(InputError):  # too little of the person to tell the size by; a later frame will do
+            with suppress(InputError):  # too little is seen to estimate the size; wait for a later frame
                 seen = self._match(frame, points, weights)
         if seen is None:
             return self.advance(frame)

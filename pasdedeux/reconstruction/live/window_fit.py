@@ -1,4 +1,4 @@
-"""Fit of the last few frames to what was seen, as frames arrive: the live form of the fit of whole tracks.
+"""Fit the last few frames to the image as frames arrive: the live form of the fit of whole tracks.
 
 The candidates of a frame vote once on the depth of every bone, when the frame arrives; Viterbi with a fixed lag chooses
 the signs over time.  When a pose is due, its frame and the later ones are fitted together, after the last two returned

@@ -25,7 +25,7 @@ from pasdedeux.formats.detections import Detection, Footage, join_detections
 from pasdedeux.formats.humanoid import AXES
 from pasdedeux.formats.openpose import openpose_frame_number, read_people
 from pasdedeux.plain_text import counted
-from pasdedeux.reconstruction.body import Body
+from pasdedeux.reconstruction.body import BodyBones
 from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, warm_up
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
 from pasdedeux.skeletons import BODY22, OP14
@@ -281,7 +281,7 @@ class _Lines:
         self._upright = people.camera_from_upright_rotmat
         self._out = out
         self._rate_hz = rate_hz
-        self._bodies: dict[int, Body] = {}
+        self._bodies: dict[int, BodyBones] = {}
         self._put(
             {
                 "format": "pasdedeux live",

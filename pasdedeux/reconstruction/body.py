@@ -79,8 +79,8 @@ def _ankle_height(leg_m: float) -> float:
 
 
 @dataclass(frozen=True)
-class Body:
-    """A person's own bones.
+class BodyBones:
+    """The bones of a person's whole body.
 
     Args:
         rest_m: The T-pose (22, 3), metres, mid-hip at the origin.
@@ -102,11 +102,11 @@ class Body:
         return self.ankle_height_m * _TOE_HEIGHT / _ANKLE_HEIGHT
 
 
-def body_of(lengths_m: Array, hip_width_m: float) -> Body:
+def body_of(lengths_m: Array, hip_width_m: float) -> BodyBones:
     """Return the body of a person with these op14 bones (14,) and this distance between the hip joints, metres."""
     of = dict(zip(OP14.joint_names, np.asarray(lengths_m, dtype=np.float64), strict=True))
     leg = 0.5 * sum(of[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle"))
-    return Body(_rest(lengths_m, hip_width_m), _ankle_height(leg))
+    return BodyBones(_rest(lengths_m, hip_width_m), _ankle_height(leg))
 
 
 REFERENCE_HIP_WIDTH_M = 2.0 * t_pose("left_hip")[0] * REFERENCE_STATURE_M
@@ -198,7 +198,7 @@ class EmbodiedMotion:
         unitquat: Local rotations (frame, 22, 4) from the T-pose.
     """
 
-    body: Body
+    body: BodyBones
     pelvis_m: Array
     unitquat: Array
 
@@ -225,10 +225,10 @@ def body_from_joints(body22_m: Array, unitquat: Array) -> EmbodiedMotion:
         rest[joint] = rest[parent] + np.median(bones, axis=0)
     rest -= 0.5 * (rest[_LEGS[0, 0]] + rest[_LEGS[1, 0]])
     knee, ankle = (np.mean([np.linalg.norm(rest[leg[at]] - rest[leg[at - 1]]) for leg in _LEGS]) for at in (1, 2))
-    return EmbodiedMotion(Body(rest, _ankle_height(knee + ankle)), joints[:, _PELVIS], local)
+    return EmbodiedMotion(BodyBones(rest, _ankle_height(knee + ankle)), joints[:, _PELVIS], local)
 
 
-def body_through(positions_m: Array) -> Body:
+def body_through(positions_m: Array) -> BodyBones:
     """Return the body with the median bone lengths of op14 positions (frame, 14, 3), metres."""
     return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
 
@@ -249,7 +249,7 @@ def embody(database: Database, track: ReconstructedTrack, positions_m: Array, *,
 
 
 def pose_body(
-    body: Body, positions_m: Array, bends: Bends | None = None, *, floor_m: float = -np.inf
+    body: BodyBones, positions_m: Array, bends: Bends | None = None, *, floor_m: float = -np.inf
 ) -> tuple[Array, Array]:
     """Return the pelvis (frame, 3) and local rotations (frame, 22, 4) of a body through op14 joints.
 

@@ -23,7 +23,7 @@ from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
-from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, bends_of, body_of, pose_body
+from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, BodyBones, bends_of, body_of, pose_body
 from pasdedeux.reconstruction.body_kernels import held_hips
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveFloor
@@ -98,7 +98,7 @@ class LivePose:
     score_m: float
     row: int
     num_joints_seen: int
-    body: Body
+    body: BodyBones
     pelvis_m: Array
     body22_unitquat: Array
     floor_m: float

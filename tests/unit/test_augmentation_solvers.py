@@ -6,12 +6,13 @@ from pydantic import ValidationError
 from scipy.optimize import least_squares
 
 from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, exact_bones, uniform_variations
+from pasdedeux.augmentation import weights as w
 from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import factorise, solve
-from pasdedeux.augmentation.problem import MeshProblem, Targets
-from pasdedeux.augmentation.terms import build_problem, build_targets
+from pasdedeux.augmentation.problem import MeshProblem, Targets, girdle_pairs
+from pasdedeux.augmentation.terms import bending_rows, build_problem, build_targets
 from pasdedeux.augmentation.variations import (
     Variation,
     bone_variations,
@@ -27,7 +28,6 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from tests.builders.choreography_laws import place_m
 from tests.builders.moving_pairs import swaying_pair
-from tests.builders.oracles_augmentation import plain_residuals
 
 
 def _problem(frames: int, scale: float = 0.8, **settings: Any) -> tuple[MeshProblem, Targets]:
@@ -40,6 +40,34 @@ def _wild_variations(count: int, seed: int) -> list[Variation]:
     """Every bone's scale for itself, left and right too."""
     scales = np.random.default_rng(seed).uniform(0.5, 1.5, (count, 2, 22))
     return [Variation(f"wild-{index}", scale) for index, scale in enumerate(scales)]
+
+
+def plain_residuals(problem: MeshProblem, targets: Targets, offsets: np.ndarray) -> np.ndarray:
+    """Return all residuals of one variant at offsets (T, 44, 3), as written; the energy is the sum of their squares."""
+    apart = offsets - targets.difference[0]
+    mesh, contacts, direction = problem.mesh, problem.contacts, w.CONTACT_DIRECTION
+    frames = np.arange(len(offsets))[:, None, None]
+    vectors = (contacts.shares[..., None] * (targets.reference[0] + offsets)[frames, contacts.points]).sum(axis=2)
+    missed = vectors - targets.contact_m[0]
+    stretched = np.linalg.norm(vectors, axis=-1) - np.linalg.norm(targets.contact_m[0], axis=-1)
+    parts = [
+        np.sqrt(w.LAPLACIAN) * (mesh.laplacian @ offsets - mesh.cross_laplacian @ targets.difference[0]),
+        np.sqrt(problem.smoothness) * np.diff(offsets, n=2, axis=0),
+        np.sqrt(w.REFERENCE) * offsets,
+        np.sqrt(w.BENDING) * (bending_rows(problem.source) @ offsets),
+        np.sqrt(problem.floor) * (offsets[..., 1] - targets.height[0]),
+        np.sqrt(problem.stance)[..., None] * np.diff(apart, axis=0)[..., [0, 2]],
+        np.sqrt(direction * problem.contact_weights)[..., None] * missed,
+        np.sqrt((1.0 - direction) * problem.contact_weights) * stretched,
+    ]
+    near = problem.clearance
+    for t in range(len(offsets)):
+        between = (near.shares[t][..., None] * offsets[t, near.points[t]]).sum(axis=1)
+        short = targets.clearance_m[0, t] - (between * near.normals[t]).sum(axis=-1)
+        parts.append(np.sqrt(near.weights[t]) * np.maximum(short, 0.0))
+    ends = (targets.reference[0] + offsets)[:, girdle_pairs(problem.source.num_people)]
+    girdle = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) - targets.girdle_m[0]
+    return np.concatenate([*(part.ravel() for part in parts), np.sqrt(w.GIRDLE) * girdle.ravel()])
 
 
 def _oracle_energy(problem: MeshProblem, targets: Targets, start: np.ndarray) -> float:

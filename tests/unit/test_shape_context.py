@@ -7,11 +7,18 @@ import pytest
 
 from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.shape_context import ShapeCoverage, shape_bins
+from pasdedeux.interaction.shape_context import NUM_BANDS, NUM_SECTORS, NUM_SHELLS, ShapeCoverage, shape_bins
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from tests.builders.oracles_interaction import pair_shape_dissimilarity
 
 PAIRS = random_pairs(np.random.default_rng(0), 40)
+
+
+def pair_shape_dissimilarity(first_m: np.ndarray, second_m: np.ndarray) -> np.ndarray:
+    """Return D_S (*batch,) between pairs (*batch, 2, 17, 3): the mean chi-squared cost of all joints' histograms."""
+    ids = np.arange(NUM_SHELLS * NUM_SECTORS * NUM_BANDS)
+    first, second = ((shape_bins(pairs)[..., None] == ids).mean(axis=-2) for pairs in (first_m, second_m))
+    total = first + second
+    return (0.5 * np.sum((first - second) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)).mean(axis=-1)
 
 
 def test_rigid_motion_changes_no_shape_context() -> None:

@@ -202,6 +202,7 @@ def test_a_shard_whose_worker_died_once_is_computed_all_the_same(client: Client,
     assert len(there) == len(compute(run_grow, shards(), here(tmp_path / "here"))) == len(shards())
 
 
+@pytest.mark.slow
 def test_a_shard_that_needs_more_memory_than_a_worker_has_is_named_and_others_are_computed(
     client: Client, tmp_path: Path
 ) -> None:
@@ -212,6 +213,7 @@ def test_a_shard_that_needs_more_memory_than_a_worker_has_is_named_and_others_ar
     assert [Store(tmp_path).find("grow", shard.key) is not None for shard in asked] == [False, True, True]
 
 
+@pytest.mark.slow
 def test_a_shard_that_waits_for_the_same_worker_is_not_blamed_for_its_deaths(tmp_path: Path) -> None:
     asked = shards(4, 1)
     with (

@@ -16,9 +16,9 @@ from urllib.request import urlopen
 import pytest
 from websockets.sync.client import connect
 
-from tests.builders.pages import BROWSERS
 from tests.builders.toy_runs import wait_until
 
+_BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 KEYS = {" ": ("Space", 32), "ArrowLeft": ("", 37), "ArrowUp": ("", 38), "ArrowRight": ("", 39), "ArrowDown": ("", 40)}
 KEYS |= {"End": ("", 35), "Home": ("", 36)}
 _FLAGS = (
@@ -104,9 +104,9 @@ class Tab:
 @contextmanager
 def open_page(url: str, folder: Path, *, width: int = 1280, height: int = 800) -> Iterator[Tab]:
     """Open a page in headless Chromium, whose pictures are drawn by software; skips where there is none."""
-    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    browser = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
     if browser is None:
-        pytest.skip(f"no browser is here: `apt-get install chromium` puts one on the path ({', '.join(BROWSERS)})")
+        pytest.skip(f"no browser is here: `apt-get install chromium` puts one on the path ({', '.join(_BROWSERS)})")
     profile = folder / f"profile-{width}"
     size = f"--window-size={width},{height}"
     process = subprocess.Popen(
@@ -134,3 +134,14 @@ def open_page(url: str, folder: Path, *, width: int = 1280, height: int = 800) -
     finally:
         process.terminate()
         process.wait(timeout=30.0)
+
+
+def in_browser(page: str, probe: str, folder: Path, *, width: int = 1100) -> Any:
+    """Return the answer of a script within a page as `found`, and the page's errors; skips without a browser.
+
+    `probe` is the body of an async function.
+    """
+    path = folder / "page.html"
+    path.write_text(page, encoding="utf-8")
+    with open_page(path.as_uri(), folder, width=width, height=900) as tab:
+        return {"found": tab.run(f"(async () => {{ {probe} }})()"), "errors": tab.errors}

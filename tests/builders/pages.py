@@ -1,19 +1,13 @@
-"""A report page read back: its links, headings, pictures and tables, and what a browser makes of it."""
+"""A report page read back: its links, headings, pictures and tables."""
 
 from __future__ import annotations
 
 import base64
 import json
-import shutil
-import subprocess
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
-import pytest
-
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 _VOID = {"meta", "img", "input", "br", "hr", "link"}
 
 
@@ -81,33 +75,3 @@ class Page(HTMLParser):
             self.cells[-1] += data
         elif tag == "script" and named.get("type") == "application/json":
             self.scenes.append(json.loads(data))
-
-
-def in_browser(page: str, probe: str, folder: Path, *, width: int = 1100) -> Any:
-    """Return what a script answers within a page in headless Chromium, and errors of the page; a screenshot is kept.
-
-    `probe` is the body of an async function.  Skips where no browser is installed.
-    """
-    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    if browser is None:
-        pytest.skip(f"no browser is installed here: one of {', '.join(BROWSERS)} on the path opens the page")
-    listen = '<script>window.errors = []; addEventListener("error", (e) => errors.push(e.message));</script>'
-    ask = (
-        f"<script>(async () => {{ const found = await (async () => {{ {probe} }})();"
-        ' const said = document.createElement("pre"); said.id = "said";'
-        " said.textContent = btoa(unescape(encodeURIComponent(JSON.stringify({ found, errors }))));"
-        " document.body.append(said); })().catch((e) => errors.push(e.message));</script>"
-    )
-    path = folder / "page.html"
-    path.write_text(
-        page.replace("<style>", f"{listen}<style>", 1).replace("</body>", f"{ask}</body>"), encoding="utf-8"
-    )
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", f"--window-size={width},900"]
-    profile = f"--user-data-dir={folder / 'profile'}"
-    picture = [f"--screenshot={folder / f'page-{width}.png'}"]
-    for more in (picture, ["--dump-dom"]):
-        done = subprocess.run(
-            [browser, *flags, profile, *more, path.as_uri()], capture_output=True, text=True, timeout=60, check=True
-        )
-    answer = done.stdout.split('<pre id="said">')[1].split("<")[0]
-    return json.loads(base64.b64decode(answer))

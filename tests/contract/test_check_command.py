@@ -24,7 +24,8 @@ from pasdedeux.formats.own_skeleton import ended
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
-from tests.builders.pages import Page, in_browser
+from tests.builders.browser import in_browser
+from tests.builders.pages import Page
 from tests.builders.rigs import RIGS
 
 SAID = {

@@ -31,8 +31,9 @@ from tasks.contacts import find_contact_rows
 from tasks.data import Clip
 from tasks.facts import TakeFacts
 from tasks.stage import StageInputs
+from tests.builders.browser import in_browser
 from tests.builders.ingest_runs import planned, run
-from tests.builders.pages import Page, in_browser
+from tests.builders.pages import Page
 from tests.builders.storage_rows import commit_rows
 from tests.builders.toy_runs import ROOT
 

@@ -27,7 +27,8 @@ from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
 from tasks.judgements import verdict_of, verdicts_of_parts
 from tasks.stage import Parameters, Shard, Stage, StageInputs
-from tests.builders.pages import Page, in_browser
+from tests.builders.browser import in_browser
+from tests.builders.pages import Page
 from tests.builders.painted_film import painted, write_keys
 from tests.builders.real_study import SMALL, BuiltStudy
 from tests.builders.rendered_film import write_film

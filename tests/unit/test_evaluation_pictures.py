@@ -41,7 +41,8 @@ from storage_schema.tables import TABLES
 from tasks.evaluation import report as report_task
 from tasks.evaluation.report import DatasetCard, card_tables
 from tasks.evaluation.takes import take_scores
-from tests.builders.pages import Page, in_browser
+from tests.builders.browser import in_browser
+from tests.builders.pages import Page
 
 
 def _people(frames: int, persons: int) -> np.ndarray:

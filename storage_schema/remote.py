@@ -65,7 +65,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         The dataset in the store, and the number of artifacts that were new there.
 
     Raises:
-        UnknownReference: There is no such dataset; says which there are.
+        UnknownReference: The repository has no such dataset; the message lists those it has.
         DatasetExists: The store has another dataset of this name and version.
         CorruptArtifact: Received bytes do not match the manifest, or the store has others under a key.
         RemoteError: The bucket refuses or does not answer; the same call goes on.

@@ -137,7 +137,7 @@ class Store:
         """Put the staged files of this manifest under its key; return the artifact that is there in the end.
 
         Raises:
-            NamedByDataset: A dataset needs what is there, and this has other bytes.
+            NamedByDataset: A dataset refers to the artifact of this key, which has different bytes.
         """
         raise NotImplementedError
 
@@ -339,7 +339,7 @@ class Store:
             MissingArtifact: An input is not in the store.
             FullDisk: There is no room left.
             NewerSchema: The store was written by a newer program.
-            NamedByDataset: A dataset needs what is there, and this has other bytes.
+            NamedByDataset: A dataset refers to the artifact of this key, which has different bytes.
         """
         with self.writer(facts=facts, sources=sources, **described) as writer:
             for table, columns in tables.items():

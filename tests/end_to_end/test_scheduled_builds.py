@@ -90,9 +90,9 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
 ) -> None:
     store = tmp_path / "store"
     settings = ["--set", 'study.stages=["ingest"]', "--set", 'publish.required=["ingest"]']
-    for _ in range(2):  # the second time changes it in place
-        said = _deploy(environment, store, "--every", str(EVERY_S), "--workers", "0", *settings)
-        assert "pasdedeux-dataset/duets: every 10 s" in said
+    options = [str(store), "--every", str(EVERY_S), "--workers", "0", *settings]
+    said = _deploy(environment, options, options)  # the second time changes it in place
+    assert said.count("pasdedeux-dataset/duets: every 10 s") == 2
     (deployment,) = _get(environment, "/deployments/filter", {"deployments": {"name": {"any_": ["duets"]}}})
     assert [schedule["schedule"]["interval"] for schedule in deployment["schedules"]] == [EVERY_S]
     assert len(_get(environment, "/automations/filter", {})) == 1
@@ -139,8 +139,9 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
 def test_builds_of_one_store_wait_for_each_other_and_builds_of_two_stores_do_not(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
-    for name, store in (("one", "store"), ("other", "store"), ("elsewhere", "another")):
-        _deploy(environment, tmp_path / store, "--cron", "0 0 1 1 *", "--set", f"study.name='{name}'")
+    stores = (("one", "store"), ("other", "store"), ("elsewhere", "another"))
+    yearly = ["--cron", "0 0 1 1 *", "--set"]
+    _deploy(environment, *([str(tmp_path / store), *yearly, f"study.name='{name}'"] for name, store in stores))
     made = {one["name"]: one for one in _get(environment, "/deployments/filter", {})}
     queues = {one["name"]: one["concurrency_limit"] for one in _get(environment, "/work_queues/filter", {})}
     used = [made[name]["work_queue_name"] for name in ("one", "other", "elsewhere")]
@@ -151,11 +152,20 @@ def test_builds_of_one_store_wait_for_each_other_and_builds_of_two_stores_do_not
     assert options == ["CANCEL_NEW"] * 3, "of one study, a build that is due while another runs"
 
 
-def _deploy(environment: dict[str, str], store: Path, *options: str) -> str:
-    command = [sys.executable, "-m", "flows.console", "deploy", "duets", "--store", str(store), *options]
-    found = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
-    assert found.returncode == 0, found.stderr
-    return found.stdout
+_DEPLOY = """
+import json, sys
+from flows.console.app import run_command_line
+for words in json.loads(sys.argv[1]):
+    assert run_command_line(["deploy", "duets", "--store", *words]) == 0
+"""
+
+
+def _deploy(environment: dict[str, str], *options: list[str]) -> str:
+    """Deploy the duets to a store with options, several times in one process; return what is said."""
+    command = [sys.executable, "-c", _DEPLOY, json.dumps(options)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=180, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def _flow(event: dict[str, Any]) -> str:

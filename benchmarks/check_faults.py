@@ -33,7 +33,7 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.choreography.duets import DUETS, draw_styles, make_duet
 from pasdedeux.evaluation.motion_check import HELD, QUALITY_LIMITS, CheckedMotion
 from pasdedeux.figure import Figure, complaints, limits_of
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.capture import JUDGED, check_capture

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from flows.console.app import run_command_line
 from pasdedeux.film.annotating import annotate_shot
-from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.poses2d.annotation_csv import write_annotation_csv
 from pasdedeux.kinematics.alignment import align_rigid
 from pasdedeux.people.resolution import SequenceRows, resolve_sequence
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS

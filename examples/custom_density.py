@@ -8,7 +8,7 @@ To use it in studies, register it as described in docs/extending.md.
 import numpy as np
 
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.densities.density import Likelihood, PairDensity

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from storage_schema import ArtifactRef, Store
 from tasks.committing import join_columns
 

@@ -11,9 +11,9 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError, named
 from pasdedeux.evaluation.verdicts import merge_verdicts
-from pasdedeux.formats.calibration import CalibratedCamera, calibrated_camera
-from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.humanoid import write_npz
+from pasdedeux.formats.poses2d.calibration import CalibratedCamera, calibrated_camera
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.people.video import check_one_video, why_no_video
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.matching import Method

@@ -17,10 +17,10 @@ from flows.exports.export_format import write_film, write_text
 from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import AnnotatedShot, frames_to_correct
 from pasdedeux.film.drawing import contact_sheet, draw_people
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
-from pasdedeux.formats.annotation_csv import write_annotation_csv
-from pasdedeux.formats.coco import write_coco
-from pasdedeux.formats.cvat import write_cvat
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
+from pasdedeux.formats.poses2d.annotation_csv import write_annotation_csv
+from pasdedeux.formats.poses2d.coco import write_coco
+from pasdedeux.formats.poses2d.cvat import write_cvat
 from pasdedeux.plain_text import counted
 from tasks.ingest.film.detector_files import fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions

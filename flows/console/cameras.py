@@ -11,8 +11,8 @@ from flows.console.context import echo
 from flows.console.inputs import find_source
 from flows.exports.reconstructions import Footage
 from pasdedeux.errors import InputError
-from pasdedeux.formats.calibration import CalibratedCamera, choose_cameras, read_calibration
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.calibration import CalibratedCamera, choose_cameras, read_calibration
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.people.video import check_one_video
 from pasdedeux.reconstruction.moving_camera import subtract_motion

@@ -20,10 +20,10 @@ from flows.console.context import echo
 from flows.console.inputs import find_database, read_statures
 from flows.signals import remembered_ctrl_c
 from pasdedeux.errors import InputError
-from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, check_anatomy, in_pixels
-from pasdedeux.formats.detections import Detection, Footage, join_detections
 from pasdedeux.formats.humanoid import AXES
-from pasdedeux.formats.openpose import openpose_frame_number, read_people
+from pasdedeux.formats.poses2d.annotated_frames import MIN_CONFIDENCE, AnnotatedFrames, check_anatomy, in_pixels
+from pasdedeux.formats.poses2d.detections import Detection, Footage, join_detections
+from pasdedeux.formats.poses2d.openpose import openpose_frame_number, read_people
 from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.body import BodyBones
 from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, warm_up

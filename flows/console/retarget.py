@@ -25,10 +25,10 @@ from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.formats.asf_amc import read_asf
 from pasdedeux.formats.file_format import FileStart
-from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
 from pasdedeux.formats.registry import MOTION_FORMATS
+from pasdedeux.formats.rigs.own_skeleton import OwnSkeleton, body_map
+from pasdedeux.formats.rigs.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.learning.model import VariantRequest
 from pasdedeux.learning.registry import Weights
 from pasdedeux.plain_text import counted

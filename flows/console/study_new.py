@@ -16,10 +16,16 @@ from flows.console.display import format_table
 from flows.templates import render
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import AnnotationFormat
-from pasdedeux.formats.guess import USUAL_HEIGHT_M, AxisGuess, draft_motion, guess_mirrored
 from pasdedeux.formats.rates import one_rate
 from pasdedeux.formats.registry import recognise_format
-from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, KnownSource, Resolution, mend_of_mirror, resolve_up_axes
+from pasdedeux.formats.rigs.guess import USUAL_HEIGHT_M, AxisGuess, draft_motion, guess_mirrored
+from pasdedeux.formats.rigs.resolution import (
+    MIN_UNIT_CONFIDENCE,
+    KnownSource,
+    Resolution,
+    mend_of_mirror,
+    resolve_up_axes,
+)
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.people.video import why_no_video
 from pasdedeux.plain_text import counted, visible

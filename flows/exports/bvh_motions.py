@@ -12,7 +12,7 @@ from flows.exports.casts import POSED, casts, holds_poses
 from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat, write_text
 from flows.exports.own_skeletons import RigFiles
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.own_skeleton import ended
+from pasdedeux.formats.rigs.own_skeleton import ended
 
 _DECIMALS = 8
 

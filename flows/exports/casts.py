@@ -16,8 +16,8 @@ from flows.exports.export_format import Export, RestPose
 from flows.exports.own_skeletons import TAKE_NAMES, TakePerson, people_of_take, rate_in_words, rig_of
 from pasdedeux.arrays import Array
 from pasdedeux.formats.humanoid import humanoid_motion
-from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton
 from pasdedeux.formats.positions_as_motion import motion_from_positions
+from pasdedeux.formats.rigs.own_skeleton import BodyMap, OwnSkeleton
 from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.people.names import person_names
 from pasdedeux.people.video import rate_from_times

@@ -11,7 +11,7 @@ import numpy as np
 from flows.exports.export_format import FileNames, RestPose, Units, write_text, write_units
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.npz import write_motion_npz
-from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, standing, with_end_sites
+from pasdedeux.formats.rigs.own_skeleton import BodyMap, OwnSkeleton, standing, with_end_sites
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.people.names import person_name

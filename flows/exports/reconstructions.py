@@ -19,11 +19,11 @@ from pasdedeux.evaluation.pictures import PLAYER, Picture
 from pasdedeux.evaluation.pictures import shown_frames as thinned_frames
 from pasdedeux.film.drawing import blur_faces, draw_people, moving_svg
 from pasdedeux.film.tracking import Image
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.calibration import CalibratedCamera
-from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.glb import GlbCamera, write_glb
 from pasdedeux.formats.humanoid import AXES, units_text, write_npz
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.calibration import CalibratedCamera
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.kinematics.rotations import unitquat_from_rotmat
 from pasdedeux.people.decisions import write_decisions
 from pasdedeux.people.resolution import SequencePeople

@@ -13,7 +13,7 @@ from flows.exports.cast_files import CastFiles
 from flows.exports.casts import MOVING, Cast, Rig, casts, holds_poses
 from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat
 from pasdedeux.errors import InputError, named
-from pasdedeux.formats.own_skeleton import standing
+from pasdedeux.formats.rigs.own_skeleton import standing
 from pasdedeux.formats.smpl import BODY, BodyModel, SmplMotion, read_body_model, smpl_of_body22, smpl_of_motion
 from pasdedeux.skeletons import BODY22
 from tasks.ingest.files import load_file

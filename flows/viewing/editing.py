@@ -19,9 +19,9 @@ from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.dragging import pull_joint
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.annotation_csv import write_annotation_csv
 from pasdedeux.formats.pair_file import write_pair_json
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotation_csv import write_annotation_csv
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17

@@ -15,10 +15,10 @@ from flows.viewing.scene import People, Scene
 from flows.viewing.shelf import Shelf
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError, named
-from pasdedeux.formats.guess import USUAL_HEIGHT_M, guess_unit
-from pasdedeux.formats.own_joints import OwnJoints, is_body, read_own_joints
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
-from pasdedeux.formats.resolution import MIN_UNIT_CONFIDENCE, resolve_up_axes
+from pasdedeux.formats.rigs.guess import USUAL_HEIGHT_M, guess_unit
+from pasdedeux.formats.rigs.own_joints import OwnJoints, is_body, read_own_joints
+from pasdedeux.formats.rigs.resolution import MIN_UNIT_CONFIDENCE, resolve_up_axes
 from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
 from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.projections.sources import resample_positions

@@ -15,7 +15,7 @@ from flows.viewing.shelf import Shelf
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.spread import evenly_spread

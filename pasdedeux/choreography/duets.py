@@ -18,7 +18,7 @@ from pasdedeux.choreography.push_hands import PushHands
 from pasdedeux.choreography.trio import Trio
 from pasdedeux.choreography.waltz import Waltz
 from pasdedeux.errors import InputError
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.skeletons.layouts import LAYOUTS
 
 DUETS: dict[str, type[Dance]] = {

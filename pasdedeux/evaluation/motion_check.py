@@ -18,7 +18,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.evaluation.motion_players import links_of
 from pasdedeux.evaluation.pictures import PLAYER, Picture, pack_player, people_panel, shown_frames
 from pasdedeux.figure import complaints, figure, figures_of, limits_of
-from pasdedeux.formats.placement import floor_shift
+from pasdedeux.formats.rigs.placement import floor_shift
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.people.names import person_name

@@ -12,7 +12,7 @@ from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.film.camera import LOST, CameraFollower
 from pasdedeux.film.filling import FilledPoints, fill_points, shorten_limbs
 from pasdedeux.film.tracking import TRACKED_SIZE_PX, Image, Tracks, track_points
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.resolution import resolve_people
 from pasdedeux.skeletons import OP14

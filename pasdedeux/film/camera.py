@@ -15,7 +15,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.film.tracking import Image
-from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH, CameraMotion, apply, inverse
+from pasdedeux.formats.poses2d.camera_motion import FOCAL_OVER_WIDTH, CameraMotion, apply, inverse
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 
 _LARGEST_PX = 640

@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.film.tracking import Image
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.skeletons import OP14
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.film.tracking import Tracks
-from pasdedeux.formats.annotated_frames import KeypointStatus
+from pasdedeux.formats.poses2d.annotated_frames import KeypointStatus
 from pasdedeux.skeletons.layouts.names import SIDES
 from pasdedeux.skeletons.skeleton import ARM, LEG
 

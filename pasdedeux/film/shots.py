@@ -8,8 +8,8 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.film.tracking import Image
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 
 _THUMB = (32, 24)
 _MIN_CHANGE = 0.05

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from pasdedeux.errors import FormatError, named
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import Detection, join_detections
-from pasdedeux.formats.image_names import places_of_names
 from pasdedeux.formats.npz import array_names, is_npz
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.detections import Detection, join_detections
+from pasdedeux.formats.poses2d.image_names import places_of_names
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import find_delimiter, wide_encoding
 from pasdedeux.plain_text import counted

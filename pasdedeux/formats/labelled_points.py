@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import RATE_HZ
+from pasdedeux.formats.poses2d.annotated_frames import RATE_HZ
 from pasdedeux.formats.positions_as_motion import source_from_positions
 from pasdedeux.formats.rates import plain_rate
 from pasdedeux.formats.source_motion import SourceMotion

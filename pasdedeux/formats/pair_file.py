@@ -16,8 +16,8 @@ from pydantic import Field, ValidationError
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, named
 from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range, parse_json
-from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.settings import Settings, first_problem
 from pasdedeux.skeletons import PAIR17

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.npz import get_array, read_npz
+from pasdedeux.formats.poses2d.annotated_frames import RATE_HZ
 from pasdedeux.formats.positions_as_motion import source_from_positions
 from pasdedeux.formats.rates import plain_rate
 from pasdedeux.formats.source_motion import SourceMotion

@@ -7,7 +7,13 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import (
+from pasdedeux.formats.asf_amc import ASF_AMC
+from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
+from pasdedeux.formats.c3d import C3D
+from pasdedeux.formats.expi import EXPI
+from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
+from pasdedeux.formats.foreign import refuse_foreign
+from pasdedeux.formats.poses2d.annotated_frames import (
     AnnotatedFrames,
     check_anatomy,
     check_inside,
@@ -15,24 +21,18 @@ from pasdedeux.formats.annotated_frames import (
     in_size,
     without_doubtful,
 )
-from pasdedeux.formats.annotation_csv import ANNOTATION_CSV
-from pasdedeux.formats.annotation_npz import ANNOTATION_NPZ
-from pasdedeux.formats.asf_amc import ASF_AMC
-from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
-from pasdedeux.formats.c3d import C3D
-from pasdedeux.formats.coco import COCO, IMAGE_RESULTS
-from pasdedeux.formats.cvat import CVAT
-from pasdedeux.formats.detections import UNKNOWN, Footage
-from pasdedeux.formats.expi import EXPI
-from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
-from pasdedeux.formats.foreign import refuse_foreign
-from pasdedeux.formats.openpose import OPENPOSE
-from pasdedeux.formats.points import POINTS
+from pasdedeux.formats.poses2d.annotation_csv import ANNOTATION_CSV
+from pasdedeux.formats.poses2d.annotation_npz import ANNOTATION_NPZ
+from pasdedeux.formats.poses2d.coco import COCO, IMAGE_RESULTS
+from pasdedeux.formats.poses2d.cvat import CVAT
+from pasdedeux.formats.poses2d.detections import UNKNOWN, Footage
+from pasdedeux.formats.poses2d.openpose import OPENPOSE
+from pasdedeux.formats.poses2d.points import POINTS
+from pasdedeux.formats.poses2d.yolo import YOLO
 from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.smpl import SMPL
 from pasdedeux.formats.text import shorten
 from pasdedeux.formats.trc import TRC
-from pasdedeux.formats.yolo import YOLO
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)

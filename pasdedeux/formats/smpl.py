@@ -18,11 +18,11 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import FileStart, MotionFormat
-from pasdedeux.formats.guess import guess_up_axis
 from pasdedeux.formats.npz import array_names, get_array, read_npz
+from pasdedeux.formats.poses2d.annotated_frames import RATE_HZ
 from pasdedeux.formats.rates import plain_rate
+from pasdedeux.formats.rigs.guess import guess_up_axis
 from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
 from pasdedeux.formats.text import MAX_MAGNITUDE, check_range
 from pasdedeux.kinematics import (

@@ -8,9 +8,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import RATE_HZ
 from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.labelled_points import LabelledPoints
+from pasdedeux.formats.poses2d.annotated_frames import RATE_HZ
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import Lines, compare_count, parse_integer, parse_number
 from pasdedeux.plain_text import counted

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError, NobodyError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.people.broken import find_breaks, join_breaks
 from pasdedeux.people.decisions import Decision, couples_of, decide, spans_of
 from pasdedeux.people.identity import follow_people, mean_of_two

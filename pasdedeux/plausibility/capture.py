@@ -16,7 +16,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.figure import Figure, Limits, complaints, figure, figures_of
-from pasdedeux.formats.guess import USUAL_HEIGHT_M
+from pasdedeux.formats.rigs.guess import USUAL_HEIGHT_M
 from pasdedeux.interaction.floor import StandingSettings, find_standing
 from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps
 from pasdedeux.kinematics import bone_lengths

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14

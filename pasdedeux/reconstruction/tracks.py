@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.errors import InputError, check_positive
-from pasdedeux.formats.camera_motion import FOCAL_OVER_WIDTH
+from pasdedeux.formats.poses2d.camera_motion import FOCAL_OVER_WIDTH
 from pasdedeux.people.broken import find_breaks
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pasdedeux.evaluation.pictures import Picture
-from pasdedeux.formats.annotated_frames import KeypointStatus
-from pasdedeux.formats.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import KeypointStatus
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.ingest.film.run import ANNOTATIONS_NAME, CLIP_NAME, SHEET_NAME

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pasdedeux.errors import InputError, named
-from pasdedeux.formats.calibration import calibrated_camera, choose_cameras, read_calibration
+from pasdedeux.formats.poses2d.calibration import calibrated_camera, choose_cameras, read_calibration
 from pasdedeux.people.video import check_one_video
 from tasks.ingest.common import INGEST
 from tasks.ingest.files import load_file

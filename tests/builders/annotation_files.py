@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
 __all__ = ["write_annotation_csv", "write_annotation_npz"]

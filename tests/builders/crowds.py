@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.layouts import LAYOUTS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pasdedeux.formats.guess import (
+from pasdedeux.formats.rigs.guess import (
     AxisGuess,
     MirrorGuess,
     UnitGuess,

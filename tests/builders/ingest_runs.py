@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.placement import place_motion
+from pasdedeux.formats.rigs.placement import place_motion
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, ShardRecord, Store, record_latest
 from tasks.ingest import STAGE, IngestParameters

@@ -17,7 +17,7 @@ from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh, read_rotation_rows
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT

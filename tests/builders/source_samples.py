@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.c3d import write_c3d
-from pasdedeux.formats.cvat import write_cvat
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.cvat import write_cvat
 from pasdedeux.formats.trc import write_trc
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec

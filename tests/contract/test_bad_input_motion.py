@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.placement import place_motion
+from pasdedeux.formats.rigs.placement import place_motion
 from tests.builders.real_study import call_in_process, refused
 from tests.builders.source_samples import figure_motion
 

@@ -20,8 +20,8 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.evaluation.motion_check import CheckedMotion
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.own_skeleton import ended
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.own_skeleton import ended
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
 from tests.builders.browser import in_browser

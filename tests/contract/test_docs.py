@@ -15,7 +15,7 @@ import typer.main
 from flows.console.app import COMMANDS, app
 from flows.study_files import shipped_studies
 from flows.study_keys import study_keys
-from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.poses2d.own_layout import read_layout
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import ShardRecord, Store, record_latest
 from tasks.graph import load_graph

@@ -29,8 +29,8 @@ from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.film.detectors import DETECTORS, load_detector
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
-from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.poses2d.annotation_csv import write_annotation_csv
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14, PAIR17
 from storage_schema import Store

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pasdedeux.cameras.virtual_video import VirtualView
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.placement import place_motion
+from pasdedeux.formats.rigs.placement import place_motion
 from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level

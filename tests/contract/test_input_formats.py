@@ -13,11 +13,11 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import check_anatomy
 from pasdedeux.formats.file_format import FileFormat, FileStart
 from pasdedeux.formats.npz import read_npz
+from pasdedeux.formats.poses2d.annotated_frames import check_anatomy
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, find_format, recognise_format
-from pasdedeux.formats.target_body import read_body
+from pasdedeux.formats.rigs.target_body import read_body
 from pasdedeux.interaction.objects import read_objects
 from tasks.ingest import IngestParameters
 from tests.builders.source_samples import GOOD_ANNOTATIONS, GOOD_MOTIONS

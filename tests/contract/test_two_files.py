@@ -18,8 +18,8 @@ from flows.console.study_new import write_new_study
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.formats.source_motion import upright_from_file
-from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate
 from pasdedeux.skeletons.layouts import LAYOUTS

@@ -275,7 +275,7 @@ FAULTS = (
     Fault("confidence does not matter to who is who", "pasdedeux/people/identity_kernels.py",
           "share if share >= MIN_TRUST else 0.0", "1.0 if share > 0.0 else 0.0",
           "unit/test_people_identity.py::test_junk_joints_of_low_confidence_split_nobody"),
-    Fault("a joint at the origin is seen", "pasdedeux/formats/detections.py",
+    Fault("a joint at the origin is seen", "pasdedeux/formats/poses2d/detections.py",
           "(np.nan_to_num(table[..., 2]) > 0) & (table[..., :2] != 0).any(axis=-1)", "table[..., 2] > 0",
           "unit/test_keypoint_formats.py::test_what_is_at_the_origin_or_has_no_confidence_is_missing"),
     Fault("an archive unpacks to any size", "pasdedeux/formats/npz.py", "if unpacked > most:", "if unpacked < 0:",
@@ -299,7 +299,7 @@ FAULTS = (
     Fault("a copy of a file is a second person", "flows/console/study_new.py",
           "is not person.path:", "is None:",
           "unit/test_study_new.py::test_one_file_for_two_people_is_refused"),
-    Fault("the frame rate of a file is nominal", "pasdedeux/formats/resolution.py",
+    Fault("the frame rate of a file is nominal", "pasdedeux/formats/rigs/resolution.py",
           "known.rate_hz or source.rate_hz", "known.rate_hz or 120.0", "contract/test_ingest_stage.py::"
           "test_a_pair_becomes_takes_poses_annotations_and_cameras"),
     Fault("the frame rate of annotations is nominal", "tasks/ingest/poses2d/run.py",

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
 from pasdedeux.formats.bvh import read_bvh, read_bvh_head
 from pasdedeux.formats.pair_file import PairFile, read_pair_json, write_pair_json
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, check_anatomy
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, recognise_format
+from pasdedeux.formats.rigs.target_body import read_body
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.target_body import read_body
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import t_pose
 from tests.builders.guesses import guess_motion

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
-from pasdedeux.formats.annotation_csv import read_annotation_csv
-from pasdedeux.formats.coco import read_coco, write_coco
-from pasdedeux.formats.cvat import read_cvat, write_cvat
-from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.coco import read_coco, write_coco
+from pasdedeux.formats.poses2d.cvat import read_cvat, write_cvat
+from pasdedeux.formats.poses2d.own_layout import read_layout
 from pasdedeux.skeletons import PAIR17
 from tests.builders.source_samples import person_px
 

@@ -12,7 +12,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.asf_amc import ASF_AMC, read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.registry import recognise_format
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS

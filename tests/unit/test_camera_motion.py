@@ -11,8 +11,8 @@ import pytest
 from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.film.camera import LOST, CameraFollower
 from pasdedeux.film.shots import at_constant_rate
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.reconstruction.moving_camera import moving_camera_doubt, share_alike, subtract_motion
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import PAIR17

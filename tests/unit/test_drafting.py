@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.guess import draft_motion
+from pasdedeux.formats.rigs.guess import draft_motion
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.layouts import Draft, draft_mapping, find_layout, resolve_layout

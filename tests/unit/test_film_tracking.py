@@ -20,8 +20,8 @@ from pasdedeux.film.annotating import (
 )
 from pasdedeux.film.drawing import contact_sheet, draw_people
 from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
-from pasdedeux.formats.annotation_csv import read_annotation_csv, write_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv, write_annotation_csv
 from pasdedeux.skeletons import PAIR17
 from tests.builders.rendered_film import Film, duet_bodies, render, rows_of, salsa_bodies
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.guess import common_up_axis, guess_mirrored, guess_unit, guess_up_axis
+from pasdedeux.formats.rigs.guess import common_up_axis, guess_mirrored, guess_unit, guess_up_axis
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics import forward_kinematics, local_rotations
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec

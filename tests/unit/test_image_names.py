@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.image_names import STILLS_STEP, number_in_name, places_of_names
-from pasdedeux.formats.openpose import openpose_frame_number
+from pasdedeux.formats.poses2d.image_names import STILLS_STEP, number_in_name, places_of_names
+from pasdedeux.formats.poses2d.openpose import openpose_frame_number
 
 DIGESTS = ("9f8a7c6d", "0b1c2d3e", "12345678", "ab12cd34", "77e0a1b2")
 

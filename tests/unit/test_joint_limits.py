@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.formats.asf_amc import read_amc, read_asf
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES, JointLimits, angles_and_slack

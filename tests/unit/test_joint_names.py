@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.annotation_csv import read_annotation_csv
-from pasdedeux.formats.annotation_npz import read_annotation_npz
-from pasdedeux.formats.coco import read_coco
-from pasdedeux.formats.cvat import read_cvat
-from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.annotation_npz import read_annotation_npz
+from pasdedeux.formats.poses2d.coco import read_coco
+from pasdedeux.formats.poses2d.cvat import read_cvat
+from pasdedeux.formats.poses2d.own_layout import read_layout
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, layout_of_names
 from tests.builders.own_sources import film_duet

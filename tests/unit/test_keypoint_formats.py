@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
-from pasdedeux.formats.annotation_csv import read_annotation_csv
-from pasdedeux.formats.annotation_npz import read_annotation_npz
-from pasdedeux.formats.coco import read_coco
-from pasdedeux.formats.detections import Footage
-from pasdedeux.formats.openpose import OPENPOSE
-from pasdedeux.formats.points import read_points
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, check_anatomy
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.annotation_npz import read_annotation_npz
+from pasdedeux.formats.poses2d.coco import read_coco
+from pasdedeux.formats.poses2d.detections import Footage
+from pasdedeux.formats.poses2d.openpose import OPENPOSE
+from pasdedeux.formats.poses2d.points import read_points
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz

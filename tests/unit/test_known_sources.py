@@ -8,7 +8,7 @@ import pytest
 
 from flows.study_files import read_study_tree, shipped_studies
 from pasdedeux.errors import InputError
-from pasdedeux.formats.resolution import KnownSource
+from pasdedeux.formats.rigs.resolution import KnownSource
 from tasks.ingest.takes.known_sources import CMU_CREDIT, known_source, note_fetched
 from tasks.ingest.takes.parameters import PersonOptions
 from tasks.ingest.takes.resolution import NOT_STATED, credit_of, find_person

@@ -9,7 +9,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.positions_as_motion import motion_from_positions
-from pasdedeux.formats.working_poses import check_layout, derive_working_poses
+from pasdedeux.formats.rigs.working_poses import check_layout, derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS, find_layout

@@ -14,8 +14,8 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, ended, standing, with_end_sites
-from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.formats.rigs.own_skeleton import OwnSkeleton, body_map, ended, standing, with_end_sites
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import angle_between, multiply, unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, Skeleton

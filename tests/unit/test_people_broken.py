@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.people.broken import find_breaks
 from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.people.resolution import PeopleSettings, resolve_people

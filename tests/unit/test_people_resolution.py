@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import read_decisions
 from pasdedeux.people.pairs import choose_pairs
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people

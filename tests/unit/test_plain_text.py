@@ -21,8 +21,8 @@ from flows.exports.credits import write_credits
 from flows.templates import render as render_here
 from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.summary import Credit, Summary
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, get_keypoint_layout
-from pasdedeux.formats.annotation_csv import read_annotation_csv, write_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv, write_annotation_csv
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
 from pasdedeux.plain_text import csv_line, from_cell, markdown_text, visible
 from storage_schema import SourceCredit, Store, create_dataset

@@ -11,9 +11,9 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
-from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
+from pasdedeux.formats.rigs.own_skeleton import OwnSkeleton, body_map
+from pasdedeux.formats.rigs.working_poses import check_layout, derive_working_poses
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.working_poses import check_layout, derive_working_poses
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.layouts import LAYOUTS, find_layout, fit_layout, resolve_layout
 from tests.builders.rigs import RIGS, SMALL_BVH, Rig, truth

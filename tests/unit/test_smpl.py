@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.guess import guess_up_axis
 from pasdedeux.formats.registry import MOTION_FORMATS, recognise_format
+from pasdedeux.formats.rigs.guess import guess_up_axis
+from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.formats.smpl import JOINTS, read_body_model, read_smpl
-from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import find_layout

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.asf_amc import read_asf
-from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, standing
+from pasdedeux.formats.rigs.own_skeleton import OwnSkeleton, body_map, standing
+from pasdedeux.formats.rigs.target_body import TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.target_body import TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS

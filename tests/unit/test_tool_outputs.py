@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus
-from pasdedeux.formats.coco import read_coco
-from pasdedeux.formats.detections import Footage
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus
+from pasdedeux.formats.poses2d.coco import read_coco
+from pasdedeux.formats.poses2d.detections import Footage
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.source_samples import coco_text, people_of, yolo_text

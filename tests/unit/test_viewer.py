@@ -38,8 +38,8 @@ from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
 from flows.viewing.viewer import Viewer
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.formats.annotated_frames import KeypointStatus
-from pasdedeux.formats.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import KeypointStatus
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
 from pasdedeux.plausibility.capsules import standing_m
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS

@@ -18,9 +18,9 @@ from flows.console.cameras import camera_names
 from flows.exports.reconstructions import Footage, _between_frames, write_reconstruction
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
-from pasdedeux.formats.calibration import choose_cameras, read_calibration
-from pasdedeux.formats.camera_motion import CameraMotion
 from pasdedeux.formats.npz import read_npz
+from pasdedeux.formats.poses2d.calibration import choose_cameras, read_calibration
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase

@@ -12,7 +12,7 @@ import numpy as np
 from pasdedeux.arrays import Array, interpolate
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
-from pasdedeux.formats.calibration import CalibratedCamera
+from pasdedeux.formats.poses2d.calibration import CalibratedCamera
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.plausibility.capsules import body_height_m

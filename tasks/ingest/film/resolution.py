@@ -17,8 +17,8 @@ from pasdedeux.errors import InputError, named
 from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, correct_keypoint, frames_to_correct, with_identities
 from pasdedeux.film.detectors import load_detector
 from pasdedeux.film.shots import at_constant_rate
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
-from pasdedeux.formats.detections import Detection, Footage, join_detections
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout, join_frames
+from pasdedeux.formats.poses2d.detections import Detection, Footage, join_detections
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, clean_annotations
 from pasdedeux.skeletons import PAIR17
 from tasks.ingest.common import frames_in

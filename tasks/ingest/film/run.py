@@ -10,8 +10,8 @@ import numpy as np
 
 from pasdedeux.errors import named
 from pasdedeux.film.drawing import contact_sheet, draw_people, moving_svg
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.annotation_csv import write_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.annotation_csv import write_annotation_csv
 from pasdedeux.people.decisions import check_sequences
 from pasdedeux.people.resolution import ResolvedPeople
 from pasdedeux.spread import some_of

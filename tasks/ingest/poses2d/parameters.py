@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.poses2d.own_layout import read_layout
 from pasdedeux.formats.registry import ANNOTATION_FORMATS
 from pasdedeux.people.resolution import PeopleSettings
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from pasdedeux.errors import InputError, named
-from pasdedeux.formats.detections import Footage
-from pasdedeux.formats.image_names import number_in_name, places_of_names
+from pasdedeux.formats.poses2d.detections import Footage
+from pasdedeux.formats.poses2d.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
 from tasks.ingest.files import read_start
 from tasks.user_files import open_file

@@ -8,9 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from pasdedeux.errors import InputError, named
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import UNKNOWN, Footage
-from pasdedeux.formats.own_layout import read_layout
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.detections import UNKNOWN, Footage
+from pasdedeux.formats.poses2d.own_layout import read_layout
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, check_sequences, read_decisions, write_decisions
 from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_people

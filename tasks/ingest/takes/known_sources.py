@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats.resolution import KnownSource
+from pasdedeux.formats.rigs.resolution import KnownSource
 from storage_schema import SourceCredit
 from tasks.user_files import read_text_file
 

@@ -12,7 +12,7 @@ import numpy as np
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
-from pasdedeux.formats.resolution import KnownSource, Mappings, Resolution, Stated, resolve_motion
+from pasdedeux.formats.rigs.resolution import KnownSource, Mappings, Resolution, Stated, resolve_motion
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.skeletons import Skeleton
 from storage_schema import SourceCredit

@@ -14,13 +14,13 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.errors import named
-from pasdedeux.formats.guess import AxisGuess, MirrorGuess, guess_mirrored
-from pasdedeux.formats.own_skeleton import body_map
-from pasdedeux.formats.placement import floor_shift, place_motion, place_points
 from pasdedeux.formats.registry import MOTION_FORMATS
-from pasdedeux.formats.resolution import SURE, mend_of_mirror, resolve_up_axes
+from pasdedeux.formats.rigs.guess import AxisGuess, MirrorGuess, guess_mirrored
+from pasdedeux.formats.rigs.own_skeleton import body_map
+from pasdedeux.formats.rigs.placement import floor_shift, place_motion, place_points
+from pasdedeux.formats.rigs.resolution import SURE, mend_of_mirror, resolve_up_axes
+from pasdedeux.formats.rigs.working_poses import WorkingPoses, derive_working_poses
 from pasdedeux.formats.source_motion import SourceMotion, mirror_signs, upright_from_file
-from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
 from pasdedeux.interaction.known_contacts import read_contacts
 from pasdedeux.interaction.objects import MovingObjects, read_objects
 from pasdedeux.kinematics import Motion

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.detections import Detection
 from pasdedeux.formats.file_format import AnnotationFormat
-from pasdedeux.formats.image_names import number_in_name
+from pasdedeux.formats.poses2d.detections import Detection
+from pasdedeux.formats.poses2d.image_names import number_in_name
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT

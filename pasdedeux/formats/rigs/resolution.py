@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats.guess import AxisGuess, UnitGuess, common_up_axis, guess_unit, guess_up_axis
+from pasdedeux.formats.rigs.guess import AxisGuess, UnitGuess, common_up_axis, guess_unit, guess_up_axis
+from pasdedeux.formats.rigs.working_poses import check_layout
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons.layouts import Layout, resolve_layout
 from pasdedeux.skeletons.layouts.layout import Table
 

@@ -22,8 +22,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError, named
-from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import (
+from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.poses2d.detections import (
     MIN_NAMED,
     UNKNOWN,
     Detection,
@@ -31,8 +32,7 @@ from pasdedeux.formats.detections import (
     known_footage,
     names_in_order,
 )
-from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.image_names import Place, places_of_names
+from pasdedeux.formats.poses2d.image_names import Place, places_of_names
 from pasdedeux.formats.text import (
     MAX_COUNT,
     Lines,

@@ -14,10 +14,15 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, AnnotatedFrames, KeypointStatus, get_keypoint_layout
-from pasdedeux.formats.detections import detections_of_joints, join_detections
 from pasdedeux.formats.file_format import AnnotationFormat
-from pasdedeux.formats.image_names import Place, places_of_names
+from pasdedeux.formats.poses2d.annotated_frames import (
+    MAX_IMAGE_PX,
+    AnnotatedFrames,
+    KeypointStatus,
+    get_keypoint_layout,
+)
+from pasdedeux.formats.poses2d.detections import detections_of_joints, join_detections
+from pasdedeux.formats.poses2d.image_names import Place, places_of_names
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
 from pasdedeux.skeletons.layouts import KeypointLayout
 

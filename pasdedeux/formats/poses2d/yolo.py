@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.detections import Detection
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.poses2d.detections import Detection
 from pasdedeux.formats.text import Lines, floats_of, parse_number
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import LAYOUTS_OF_COUNT, USUAL_LAYOUTS

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError, NobodyError
-from pasdedeux.formats.annotated_frames import (
+from pasdedeux.formats.poses2d.annotated_frames import (
     CLEARLY_SHORTER,
     MAX_IMAGE_PX,
     MAX_STRETCH,
@@ -27,7 +27,7 @@ from pasdedeux.formats.annotated_frames import (
     get_keypoint_layout,
     stretch,
 )
-from pasdedeux.formats.image_names import Place
+from pasdedeux.formats.poses2d.image_names import Place
 from pasdedeux.formats.text import shorten
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import (

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from pasdedeux.arrays import Array
-from pasdedeux.formats.own_skeleton import body_map
+from pasdedeux.formats.rigs.own_skeleton import body_map
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22

@@ -12,8 +12,9 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
-from pasdedeux.formats.detections import (
+from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, get_keypoint_layout
+from pasdedeux.formats.poses2d.detections import (
     CONFIDENCE_OF_VISIBILITY,
     MAX_CONFIDENCE,
     Detection,
@@ -21,8 +22,7 @@ from pasdedeux.formats.detections import (
     join_detections,
     known_footage,
 )
-from pasdedeux.formats.file_format import AnnotationFormat, FileStart
-from pasdedeux.formats.image_names import Place, places_of_names
+from pasdedeux.formats.poses2d.image_names import Place, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KeypointLayout

@@ -13,7 +13,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import FormatError, InputError, NobodyError
-from pasdedeux.formats.camera_motion import CameraMotion
+from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, USUAL_LAYOUTS, KeypointLayout
 

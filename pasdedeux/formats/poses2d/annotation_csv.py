@@ -22,7 +22,8 @@ import re
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import (
+from pasdedeux.formats.file_format import AnnotationFormat
+from pasdedeux.formats.poses2d.annotated_frames import (
     FOCAL_PX,
     MAX_IMAGE_PX,
     RATE_HZ,
@@ -30,8 +31,7 @@ from pasdedeux.formats.annotated_frames import (
     KeypointStatus,
     get_keypoint_layout,
 )
-from pasdedeux.formats.detections import MAX_CONFIDENCE, arrange, detections_of_joints, number_people
-from pasdedeux.formats.file_format import AnnotationFormat
+from pasdedeux.formats.poses2d.detections import MAX_CONFIDENCE, arrange, detections_of_joints, number_people
 from pasdedeux.formats.text import Lines, parse_cell, parse_integer, parse_number, shorten
 from pasdedeux.plain_text import csv_line, from_cell
 from pasdedeux.skeletons.layouts import KeypointLayout

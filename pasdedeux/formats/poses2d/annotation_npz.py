@@ -9,10 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import FOCAL_PX, MAX_IMAGE_PX, RATE_HZ, AnnotatedFrames, get_keypoint_layout
-from pasdedeux.formats.detections import MAX_CONFIDENCE, Detection, arrange
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.npz import get_array, read_npz
+from pasdedeux.formats.poses2d.annotated_frames import (
+    FOCAL_PX,
+    MAX_IMAGE_PX,
+    RATE_HZ,
+    AnnotatedFrames,
+    get_keypoint_layout,
+)
+from pasdedeux.formats.poses2d.detections import MAX_CONFIDENCE, Detection, arrange
 from pasdedeux.formats.text import MAX_COUNT, MAX_MAGNITUDE, check_range
 from pasdedeux.skeletons.layouts import KeypointLayout
 

@@ -10,7 +10,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import BVH, read_bvh_joints
 from pasdedeux.formats.file_format import MotionFormat
 from pasdedeux.formats.positions_as_motion import source_from_positions
-from pasdedeux.formats.resolution import resolve_motion
+from pasdedeux.formats.rigs.resolution import resolve_motion
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.skeletons import Skeleton

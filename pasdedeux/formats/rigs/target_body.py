@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array
 from pasdedeux.errors import FormatError, InputError, named
 from pasdedeux.formats.npz import get_array, is_npz, read_npz
-from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
+from pasdedeux.formats.rigs.own_skeleton import OwnSkeleton, standing
 from pasdedeux.formats.text import Lines, check_range, decode, parse_json, parse_number
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22

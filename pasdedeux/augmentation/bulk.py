@@ -63,7 +63,7 @@ _FEWEST_COARSE = 8
 _MEMORY = 6
 """Number of previous moves that Anderson acceleration uses."""
 _REACH_S = 2.0
-"""Time constant of its least squares: the weight of a frame falls by 1/e for every such time."""
+"""Time constant of its least squares: the weight of a frame falls by a factor of e for every such time."""
 _RIDGE = 1e-7
 """Ridge of the least squares, as a share of the trace."""
 _FIRST_MIX = 5

@@ -32,7 +32,7 @@ def figure_label(name: str) -> FigureLabel:
     """Return how a figure is shown.
 
     >>> [figure_label(name).words for name in ("contact_drift_m", "rhat_max", "num_fail_frames")]
-    ['contact drift (cm)', 'R-hat, most', 'number of fail frames']
+    ['contact drift (cm)', 'R-hat, largest', 'number of fail frames']
     """
     ending = next((ending for ending in _SHOWN if name.endswith(ending)), "")
     words = re.sub("^num ", "number of ", in_words(name.removesuffix(ending)))
@@ -44,7 +44,7 @@ def figure_words(name: str, value: Any) -> str:
     """Return a figure in words, in a unit that people read.
 
     >>> figure_words("contact_drift_m", 0.00152), figure_words("rhat_max", 1.25), figure_words("bend_rad", np.pi)
-    ('contact drift 0.15 cm', 'R-hat, most 1.25', 'bend 180 degrees')
+    ('contact drift 0.15 cm', 'R-hat, largest 1.25', 'bend 180 degrees')
     """
     label, factor, form = figure_label(name)
     words, _, unit = label.removesuffix(")").partition(" (")

@@ -38,7 +38,7 @@ _HAND_M = 0.08
 _HAND_SHARE = 0.5
 """Share of a forearm or shank from which on a point counts increasingly as one of the hand or foot."""
 _NEXT_M = 0.015
-"""A hand or foot touches the nearest bone; the weight of others falls by 1/e for each such length beyond."""
+"""A hand or foot touches the nearest bone; others weigh less by a factor of e for each such length beyond."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of weights and points over time."""
 _SMALLEST_WEIGHT = 1e-2

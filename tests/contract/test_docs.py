@@ -1,7 +1,8 @@
-"""README and docs: links lead somewhere, commands and studies exist, and the snippets about reading run."""
+"""README and docs: links lead somewhere, commands and studies exist, snippets and examples of docstrings run."""
 
 from __future__ import annotations
 
+import doctest
 import importlib
 import re
 import tomllib
@@ -140,6 +141,20 @@ def test_the_snippets_about_reading_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(snippets) == 4
     for snippet in snippets:
         exec(compile(snippet, "reading-the-store.md", "exec"), {})
+
+
+EXAMPLES = [
+    path.relative_to(ROOT).with_suffix("")
+    for package in ("pasdedeux", "tasks", "flows", "storage_schema")
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if "    >>> " in path.read_text(encoding="utf-8")
+]
+
+
+@pytest.mark.parametrize("module", EXAMPLES, ids=str)
+def test_the_examples_of_docstrings_give_what_they_show(module: Path) -> None:
+    shown = doctest.testmod(importlib.import_module(".".join(module.parts)))
+    assert (shown.attempted > 0, shown.failed) == (True, 0)
 
 
 def test_the_table_of_humanoid_names_is_that_of_the_code() -> None:

@@ -21,7 +21,7 @@ def ended_as_by_ctrl_c() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP like Ctrl-C in this block, unless one is ignored, as under `nohup`.
 
     They often come together, so further ones are ignored, also after this block: a second one must not interrupt the
-        clean-up of the first.
+    clean-up of the first.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -111,8 +111,8 @@ def load_study(
     """Load a study that ships (by name) or a file (by path) with overrides, and return it with the graph of its stages.
 
     Precedence, highest first: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, the study that
-        it extends, the defaults. Tables are merged, lists replaced. Relative paths start at the file that states them;
-        those of settings, of the environment and of a shipped study at `folder` (the current one).
+    it extends, the defaults. Tables are merged, lists replaced. Relative paths start at the file that states them;
+    those of settings, of the environment and of a shipped study at `folder` (the current one).
 
     Raises:
         StudyError: Lists every problem: no such study, not TOML, unknown keys, values that are not allowed.

@@ -118,9 +118,9 @@ def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:
     )
 
 
-def inputs_with(store: Store, ref: ArtifactRef, table: str) -> list[ArtifactRef]:
-    """Return the inputs of an artifact that hold a part of a table."""
-    return [read for read in store.manifest(ref).inputs if table in store.manifest(read).tables]
+def inputs_with(store: Store, ref: ArtifactRef, table: str) -> Iterator[ArtifactRef]:
+    """Yield the inputs of an artifact that hold a part of a table; those after the last one taken are not read."""
+    return (read for read in store.manifest(ref).inputs if table in store.manifest(read).tables)
 
 
 def find_manifest(store: Store, ref: ArtifactRef) -> Manifest | None:

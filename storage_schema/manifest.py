@@ -34,7 +34,7 @@ class ArtifactRef:
     """Names one artifact: its stage, its key, and the digest of its content.
 
     Two references are equal if stage and content are, whatever the keys: an artifact that is made again with the same
-        content has another key, and must still be found as an input. The key is the artifact's place.
+    content has another key, and must still be found as an input. The key is the artifact's place.
     """
 
     stage: str

@@ -117,7 +117,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     """Refuse the method `published` over a database without clusters.
 
     Raises:
-        InputError: The key num_clusters of [projections] is not set.
+        InputError: The method `published` is wanted, and num_clusters of [projections] is not set.
     """
     projections = sections.get("projections")
     if Method.PUBLISHED in sections["reconstruction"].methods and projections and not projections.num_clusters:

@@ -74,7 +74,7 @@ def read_motion(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.n
 
 def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
     """Return the artifact with the take that variants were made from."""
-    return inputs_with(store, ref, "poses")[0]
+    return next(inputs_with(store, ref, "poses"))
 
 
 def read_variants(store: Store, ref: ArtifactRef, index: int | None = None) -> np.ndarray:

@@ -412,7 +412,7 @@ def _chain_levels(export: Export) -> dict[tuple[Any, ...], Level]:
 
 def _annotated_hz(store: Store, ref: ArtifactRef) -> float:
     """Return the rate of the annotations of an artifact."""
-    return PeopleFacts.of(store.manifest(inputs_with(store, ref, "annotations")[0])).rate_hz or _NOMINAL_HZ
+    return PeopleFacts.of(store.manifest(next(inputs_with(store, ref, "annotations")))).rate_hz or _NOMINAL_HZ
 
 
 def _level(store: Store, ref: ArtifactRef) -> Level:

@@ -136,7 +136,7 @@ def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags,
     Also return the rate that ingest used for the frames, if the film's own rate is not constant.
     """
     assert cast.ref is not None
-    ref = inputs_with(store, cast.ref, "annotations")[0]
+    ref = next(inputs_with(store, cast.ref, "annotations"))
     name = seen.skeleton.name
     columns = ["sequence_id", "frame", "person_id", f"{name}_px", f"{name}_confidence"]
     rows = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])

@@ -140,7 +140,7 @@ def _motion(store: Store, ref: ArtifactRef, sequence_id: str) -> CameraMotion | 
 
 @lru_cache(maxsize=4)
 def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
-    return GroundTruth.read(store, inputs_with(store, ref, "poses"), [ref], column=column)
+    return GroundTruth.read(store, [*inputs_with(store, ref, "poses")], [ref], column=column)
 
 
 @lru_cache(maxsize=4)

@@ -23,6 +23,7 @@ from storage_schema import (
     source_files,
     verify,
 )
+from storage_schema.ancestry import inputs_with
 from storage_schema.errors import NamedByDataset, OlderSchema
 from storage_schema.garbage import find_unneeded
 from storage_schema.verification import ProblemKind
@@ -169,6 +170,14 @@ def test_lineage_reaches_every_source_once(store: Store) -> None:
         ("a.bvh", "aa", "ingest"),
         ("b.bvh", "bb", "ingest"),
     ]
+
+
+def test_an_input_is_found_by_its_table_though_one_after_it_is_gone(store: Store) -> None:
+    first, last = (commit_rows(store, table, stage=table) for table in ("poses", "seeds"))
+    draws = commit_rows(store, "draws", stage="chains", inputs=(first, last))
+    assert [*inputs_with(store, draws, "seeds")] == [last]
+    store.discard(last)
+    assert next(inputs_with(store, draws, "poses")) == first
 
 
 def test_an_input_that_is_gone_ends_its_branch(store: Store) -> None:

@@ -55,7 +55,7 @@ def test_penetration_of_pairs_is_that_of_fcl() -> None:
         bodies = [
             {
                 bone: capsule(person[MODEL.parents[bone]], person[bone], radii[index, bone])
-                for bone in MODEL.bones.tolist()
+                for _, bone in PAIR17.bones
             }
             for index, person in enumerate(pair)
         ]

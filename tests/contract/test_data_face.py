@@ -155,8 +155,9 @@ def test_torch_loads_batches_with_workers(store: Store) -> None:
 
     items = PairDataset("variants:toy", 10, store=store.root)
     plain, spread = (
-        [batch["positions"] for batch in DataLoader(items, batch_size=8, num_workers=count)]  # type: ignore[arg-type]
-        for count in (0, 1)
+        [batch["positions"] for batch in DataLoader(items, batch_size=8, **workers)]  # type: ignore[arg-type]
+        # A fork would inherit what Prefect runs at exit in processes of other tests.
+        for workers in ({}, {"num_workers": 1, "multiprocessing_context": "spawn"})
     )
     assert [tuple(batch.shape) for batch in plain] == [(8, 10, 2, 22, 3)] * 2 + [(4, 10, 2, 22, 3)]
     assert all((one == other).all() for one, other in zip(plain, spread, strict=True))

@@ -53,10 +53,7 @@ def test_penetration_of_pairs_is_that_of_fcl() -> None:
     sums = MODEL.penetration(pairs, radii)
     for row, pair in enumerate(pairs):
         bodies = [
-            {
-                bone: capsule(person[MODEL.parents[bone]], person[bone], radii[index, bone])
-                for _, bone in PAIR17.bones
-            }
+            {bone: capsule(person[MODEL.parents[bone]], person[bone], radii[index, bone]) for _, bone in PAIR17.bones}
             for index, person in enumerate(pair)
         ]
 

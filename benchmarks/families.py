@@ -384,7 +384,7 @@ def parts(evidence: Array, true: Array, families: Any) -> Array:
 def fitted(evidence: Array, true_m: Array) -> Array:
     """Return the weights (n,) of evidence (row, n), 1 first, whose sum is the logarithm of the error to expect (row,).
 
-    Least squares of the logarithms; the mean of what scatters about them is larger than what they are nearest to.
+    Least squares of the logarithms, and a correction: the mean of log-normal values is larger than their median.
     """
     weights, *_ = np.linalg.lstsq(evidence, np.log(true_m), rcond=None)
     weights[0] += 0.5 * np.var(np.log(true_m) - evidence @ weights)

@@ -215,7 +215,7 @@ def clip_name(name: str, first: int, last: int) -> str:
 
 
 def clip_of(name: str) -> tuple[str, tuple[int, int] | None]:
-    """Return of which thing a name is, and first and last frame where it is that of a clip.
+    """Return the name of the whole motion, and the first and last frame if the name is of a clip.
 
     >>> clip_of("video/fit@12-40"), clip_of("waltz")
     (('video/fit', (12, 40)), ('waltz', None))

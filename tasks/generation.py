@@ -62,7 +62,8 @@ def plan(inputs: StageInputs, parameters: GenerationParameters) -> list[Shard]:
     """Plan one shard per model, take of two people and block of variants; none without a model.
 
     Raises:
-        InputError: Not one model has the name, it is of another skeleton, or key frames are of no take or outside it.
+        InputError: No model or several models have the name, its skeleton is another one, or key frames name no take or
+            lie outside it.
     """
     sections = (parameters, *parameters.swept().values())
     return [shard for section in sections for shard in _plan_model(inputs, section)]

@@ -162,9 +162,9 @@ class EarlyPlan:
     The stage's own plan, made when everything is there, decides what the stage consists of: this only gives a start.
 
     Args:
-        plan: Gives shards that will be in the stage's own plan whatever is added; none where that raises InputError.
-        reads: Tables that must be there as a whole before.
-        each: Tables of which some artifacts are given, those that are new: each has shards of its own.
+        plan: Returns shards that the stage's own plan will contain whatever is added; none if that raises InputError.
+        reads: Tables that must be complete before.
+        each: Tables whose new artifacts are passed alone; each artifact has its own shards.
     """
 
     plan: Callable[[StageInputs, Any], list[Shard]]

@@ -64,9 +64,9 @@ class PairDataset:
 
     Arrays but `mask` are float32.  Several numbers give a batch, with an axis in front; where its windows have unequal
     numbers of people, the places of those who lack are zeros, and false in `mask`.  Items stand in a fixed order; clips
-    that failed are left out.  No take is on two sides. A dataset's folder states the side of each.  In a store
-    those held out test, or a fifth of all where none is; a tenth of the others, at least one of two, validates.  With
-    `by="interaction"` performances of one interaction stay together.
+    that failed are left out.  No take is on two sides.  A dataset's folder states the side of each take.  In a store,
+    held-out takes are for testing, or a fifth of all takes if none is held out; a tenth of the others, at least one of
+    two, is for validation.  With `by="interaction"`, performances of one interaction stay together.
 
     Args:
         reference: `variants:` or `poses:` (takes) and a study, `study/partition` or `dataset@version` in the store, or

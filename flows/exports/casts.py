@@ -237,7 +237,7 @@ def _variants(export: Export, ref: ArtifactRef) -> Iterator[Cast]:
     motions = read_variants(store, ref)
     own_hz, source_hz = people[0].own.motion.rate_hz, max(person.source_rate_hz for person in people)
     rate_hz = _rate_hz(export, own_hz, source_hz)
-    for name, scale, verdict, motion in zip(*(quality[figure] for figure in quality), motions, strict=True):
+    for name, scale, verdict, motion in zip(*(quality[column] for column in quality), motions, strict=True):
         positions = motion.astype(np.float64)
 
         def rigs(rest_pose: RestPose, positions_m: Array = positions, scales: Array = scale) -> list[Rig]:

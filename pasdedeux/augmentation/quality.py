@@ -247,9 +247,9 @@ class QualityMeter:
     def _excursions(self, points: Array, rescaled: Array) -> tuple[Array, list[float]]:
         """Return the distance of standing joints from their median place in the stance: by frame, by stance.
 
-        Movement of the source while it stands is not counted, nor that times what bones of the person gain or lose: a
-        foot that turns is judged where it turns about, for its other joints go round on a smaller or larger circle.
-        All of it counts for a person whose bones keep their lengths, and where the source does not move.
+        Movement of the source during the stance is subtracted, also scaled by the change of the person's bones: a foot
+        that turns is judged at its pivot, because its other joints move on a smaller or larger circle.  Nothing is
+        subtracted if the person's bones keep their lengths, or if the source does not move.
 
         Args:
             points: Positions (T, n, 3), metres.

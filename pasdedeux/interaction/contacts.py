@@ -6,9 +6,9 @@ object: a bone is named by its child joint, the point by the share of the bone f
 two surfaces are nearest, or stated; its weight fades with the distance of the surfaces and nothing switches.  This is
 what "in contact" means everywhere.
 
-Not all that is near is a contact.  On bodies of other sizes distances to neighbouring bones cannot all stay what they
-were, and would pull a hand off the place where it lies.  So a hand or foot touches the bone nearest to it, and other
-bones touch where they are closest, but not at a joint beyond which the next bone is closer.
+Not every near point is a contact.  On bodies of other sizes, distances to several neighbouring bones cannot all be
+kept; they would pull a hand off its place.  So a hand or foot touches only the bone nearest to it.  Other bones touch
+at their closest points, except at a joint beyond which the next bone is closer.
 """
 
 from __future__ import annotations

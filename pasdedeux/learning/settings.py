@@ -85,9 +85,9 @@ class PaperCvaeSettings(SegmentSettings):
     frames a second in windows, each in axes of its own (floor between the mid-hips, B along x); scales standardised
     over training; MLP1 ends in another dense layer for mean and variance of z; encoders average over time and keep
     joints; ST-GCN as Yan et al. (2018) with one partition, a residual, every second frame from the second block on,
-    layer norm for batch norm; changes in units of 5 cm; G-GRU as Li et al. (2020), its state begun by a dense layer
-    from what it is given, its input the change so far and what it is given, its output added to it and 0 at the
-    beginning of training; all ends and scales (of A: ST-GCN3's features) reach each joint as 64 numbers beside its own
+    layer norm for batch norm; changes in units of 5 cm; G-GRU as Li et al. (2020): a dense layer of the condition
+    starts its state, its input is the change so far and the condition, its output is added to the change and is 0 at
+    the start of training; all ends and scales (of A: ST-GCN3's features) reach each joint as 64 numbers beside its own
     and which joint it is, since weights are shared over joints and eqs. 2 and 3 give the decoder all of them; G-GRU2 is
     given ST-GCN3's features of B's motion, the true one in training and else the predicted one; velocities are
     differences of frames. The alternatives that section 5.5 names are in that supplement too: the other architectures

@@ -254,7 +254,7 @@ def _cut(take: TakeOptions, people: Sequence[PersonSource], take_seconds: float 
     slack = 0.0 if len(set(rates)) == 1 else 1.0 / min(rates)
     if max(whole) - min(whole) > slack + _ALMOST / max(rates) and take.on_unequal == "refuse":
         is_in_frames = len(set(rates)) == 1 and not any(offsets)
-        shown = [f"{length:.0f}" for length in lengths] if is_in_frames else [f"{height_m:.2f}" for height_m in whole]
+        shown = [f"{length:.0f}" for length in lengths] if is_in_frames else [f"{seconds:.2f}" for seconds in whole]
         names = " and ".join(f"{p.parameters.source_name} {n}" for p, n in zip(people, shown, strict=True))
         raise InputError(
             f"its files have unequal lengths ({names} {'frames' if is_in_frames else 'seconds'}); set "

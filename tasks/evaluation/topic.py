@@ -48,7 +48,7 @@ class Topic(Generic[D]):
     """A question that the evaluation answers: a section of the report.
 
     A topic is a file with one of these, and a line in `TOPICS` (tasks/evaluation/__init__.py), whose order is that of
-    the page.  The file has the three functions `compute`, `draw` and `tabulate`; `D` is what `compute` hands to `draw`.
+    the page.  The file has `plan`, `compute` and, if needed, `draw` and `tabulate`; `compute` hands a `D` to `draw`.
 
     Args:
         name: Name of the topic: the partition of its shards, and `topic` of its rows in the `scores` table.

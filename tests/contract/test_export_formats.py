@@ -561,7 +561,7 @@ def test_what_is_worse_than_asked_for_lies_apart(store: Store, tmp_path: Path) -
         units = (out / "UNITS.txt").read_text()
         assert "not_good/waltz_bad" in units
         assert "\nwaltz_same" in units
-    with pytest.raises(InputError, match="--verdict is for bvh, glb, c3d, trc, smpl, mp4, not for csv"):
+    with pytest.raises(InputError, match=r"--verdict is for bvh, .*, not for csv"):
         export_reference(store, text, "csv", tmp_path / "csv", verdict=Level.PASS)
 
 

@@ -1,7 +1,7 @@
 """Values that must not change unnoticed: built-in duets, artifact keys, versions of stages, keys of a study, options.
 
-When one changes on purpose, `python -m tests.golden.test_golden_values` writes the files anew; commit that alone, with
-the reason.
+When one changes on purpose, `python -m tests.golden.test_golden_values` writes the files anew; commit them with the
+change, and say why.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,6 +87,12 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(unpacked, "cache_folder", lambda: folder)
         yield folder
+
+
+@pytest.fixture
+def forking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let forked children end with 0 where a flow ran in this process before: what Prefect runs at their exit fails."""
+    monkeypatch.setattr(threading, "_threading_atexits", [])
 
 
 @pytest.fixture(scope="module")

@@ -150,20 +150,17 @@ def test_windows_are_the_same_in_every_order_and_process(store: Store) -> None:
     np.testing.assert_allclose(items[2]["positions"], clip.positions_m[10:20], atol=1e-6)
 
 
-_LOADED = """
-import sys
-from torch.utils.data import DataLoader
-from pasdedeux.data import PairDataset
-items = PairDataset("variants:toy", 10, store=sys.argv[1])
-plain, spread = ([batch["positions"] for batch in DataLoader(items, batch_size=8, num_workers=num)] for num in (0, 1))
-assert [tuple(batch.shape) for batch in plain] == [(8, 10, 2, 22, 3)] * 2 + [(4, 10, 2, 22, 3)]
-assert all((alone == worked).all() for alone, worked in zip(plain, spread, strict=True))
-"""
-
-
+@pytest.mark.usefixtures("forking")
 def test_torch_loads_batches_with_workers(store: Store) -> None:
-    """In a process of its own, as users do: a forked worker inherits what other tests left in this one."""
-    subprocess.run([sys.executable, "-c", _LOADED, str(store.root)], check=True, timeout=300)
+    from torch.utils.data import DataLoader
+
+    windows = PairDataset("variants:toy", 10, store=store.root)
+    plain, spread = (
+        [batch["positions"] for batch in DataLoader(windows, batch_size=8, num_workers=num_workers)]  # type: ignore[arg-type]
+        for num_workers in (0, 1)
+    )
+    assert [tuple(batch.shape) for batch in plain] == [(8, 10, 2, 22, 3)] * 2 + [(4, 10, 2, 22, 3)]
+    assert all((alone == forked).all() for alone, forked in zip(plain, spread, strict=True))
 
 
 def test_what_holds_no_windows_is_said(store: Store) -> None:

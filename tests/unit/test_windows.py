@@ -203,6 +203,7 @@ def test_nothing_of_a_held_out_take_is_trained_on(store: Store) -> None:
     assert not any(name.startswith("take-3") for name in shown["train"])
 
 
+@pytest.mark.usefixtures("forking")
 @pytest.mark.filterwarnings("ignore:This DataLoader will create")  # more workers than this machine has cores
 @pytest.mark.parametrize("is_shuffled", [True, False])
 def test_ranks_and_workers_share_an_epoch_without_overlap_and_any_number_of_workers_gives_the_same(
@@ -240,6 +241,7 @@ def test_epochs_differ_and_each_is_always_the_same(windows: PairDataset) -> None
     assert first != places(PairStream(windows, 3, seed=2))
 
 
+@pytest.mark.usefixtures("forking")
 @pytest.mark.parametrize("num_workers", [0, 2])
 def test_a_stream_goes_on_where_it_was_left(windows: PairDataset, num_workers: int) -> None:
     from torch.utils.data import DataLoader

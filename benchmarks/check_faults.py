@@ -39,7 +39,7 @@ from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.capture import JUDGED, check_capture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
-from tasks.checking import pair_up, read_motion
+from tasks.ingest.checking import pair_up, read_motion
 
 Array = npt.NDArray[np.float64]
 Plant = Callable[[Array, float, np.random.Generator], Array]

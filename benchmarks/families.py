@@ -41,9 +41,9 @@ from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase, 
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, read_latest
-from tasks.facts import ProjectionFacts, TakeFacts
 from tasks.projections import read_pairs, read_searched
-from tasks.takes import read_motion
+from tasks.rows.takes import read_motion
+from tasks.stage.facts import ProjectionFacts, TakeFacts
 
 Array = npt.NDArray[np.float64]
 

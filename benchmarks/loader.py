@@ -19,7 +19,7 @@ from benchmarks.benchmark import BenchmarkResult, Rate, measure
 from pasdedeux.choreography.duets import make_duet
 from storage_schema import TABLES, Manifest, ShardRecord, SourceCredit, Store, artifact_key, record_latest, table_files
 from storage_schema.arrow import Kind, column_kind, value_type
-from tasks.facts import TakeFacts, VariantFacts
+from tasks.stage.facts import TakeFacts, VariantFacts
 from tasks.windows import PairDataset, PairStream
 
 _TAKES, _VARIANTS, _FRAMES, _WINDOW, _RATE_HZ = 16, 40, 150, 30, 30.0

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pasdedeux.data import Data
-from tasks.curation import content_of
+from tasks.files.curation import content_of
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("study")

@@ -17,7 +17,7 @@ from storage_schema.ancestry import has_lineage
 from storage_schema.datasets import newest_version, next_version
 from storage_schema.errors import DatasetExists
 from storage_schema.runs import STUDY_FILE
-from tasks.curation import SECTION, recorded_choices
+from tasks.files.curation import SECTION, recorded_choices
 from tasks.summary import product_verdicts, summary_of
 
 

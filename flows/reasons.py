@@ -9,8 +9,8 @@ from typing import Any
 
 from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
 from storage_schema.keys import plain_json
-from tasks.facts import TakeFacts, facts_of
 from tasks.stage import Shard, Stage
+from tasks.stage.facts import TakeFacts, facts_of
 
 _MAX_NAMED = 3  # differences that are named; more are counted
 MAX_CHARACTERS = 40  # of a displayed value

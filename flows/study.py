@@ -14,10 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_tree, unknown
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
-from tasks.curation import CurationSettings, choices_in
+from tasks.files.curation import CurationSettings, choices_in
 from tasks.graph import Graph
 from tasks.stage import Parameters
-from tasks.sweep import SweptParameters
+from tasks.stage.sweep import SweptParameters
 
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pasdedeux.errors import InputError
-from tasks.user_files import read_text_file
+from tasks.files.user_files import read_text_file
 
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 HEAD = "study"

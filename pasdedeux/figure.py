@@ -4,7 +4,7 @@ A measurement is a dataclass; each of its fields declares a figure:
 
     drop_m: float = figure("Greatest drop of a joint", (0.1, 0.5))
 
-`tasks/figures.py` has the tables with these columns.
+`tasks/rows/figures.py` has the tables with these columns.
 """
 
 from __future__ import annotations

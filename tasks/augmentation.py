@@ -26,12 +26,12 @@ from pasdedeux.settings import first_problem
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
-from tasks.committing import artifact_fields, commit
-from tasks.facts import PeopleFacts, SkippedFacts, TakeFacts, VariantFacts
-from tasks.judgements import VERDICT_FACT
+from tasks.rows.takes import TakeMotion, read_take
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
-from tasks.sweep import SweptParameters
-from tasks.takes import TakeMotion, read_take
+from tasks.stage.committing import artifact_fields, commit
+from tasks.stage.facts import PeopleFacts, SkippedFacts, TakeFacts, VariantFacts
+from tasks.stage.judgements import VERDICT_FACT
+from tasks.stage.sweep import SweptParameters
 
 AUGMENTATION = StageName("augmentation", 24)
 

@@ -32,12 +32,12 @@ from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, Store, TableData, iter_rows, open_table, parse_reference, resolve
 from storage_schema.references import find_rows
 from tasks.augmentation import batch_of
-from tasks.contacts import ContactRows, find_contact_rows
-from tasks.curation import IDENTITY, choices_for, choices_in, content_columns, names_left_out, rows_without
-from tasks.facts import TakeFacts
-from tasks.products import PRODUCT_COLUMNS, product_rows
-from tasks.shown_motions import read_shown_motion
-from tasks.takes import read_take, read_variants, take_of
+from tasks.files.curation import IDENTITY, choices_for, choices_in, content_columns, names_left_out, rows_without
+from tasks.rows.contacts import ContactRows, find_contact_rows
+from tasks.rows.products import PRODUCT_COLUMNS, product_rows
+from tasks.rows.shown_motions import read_shown_motion
+from tasks.rows.takes import read_take, read_variants, take_of
+from tasks.stage.facts import TakeFacts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +85,7 @@ class Clip:
 
     @property
     def identity(self) -> str:
-        """Its name in files of choices, see `tasks.curation`."""
+        """Its name in files of choices, see `tasks.files.curation`."""
         return self.name.replace(", ", "/")  # names of takes and variants are plain
 
     @property
@@ -217,7 +217,7 @@ class Data:
             choices_in(self._curation)
 
     def left_out(self, reference: str) -> Collection[str]:
-        """Return the names (`tasks.curation`) of the rejected items of a reference."""
+        """Return the names (`tasks.files.curation`) of the rejected items of a reference."""
         parsed = parse_reference(reference)
         if parsed.table not in IDENTITY:
             return ()
@@ -248,7 +248,7 @@ class Data:
     def pairs(self, reference: str, *, count: int | None = None, all_methods: bool = True) -> Pairs:
         """Return the pairs of a table such as `lifted_pairs:study`: all, or a number of them evenly spread.
 
-        For lifted pairs, return those of every method, or of the best one for each annotation (`tasks.products`).
+        For lifted pairs, return those of every method, or of the best one for each annotation (`tasks.rows.products`).
 
         Raises:
             InputError: The table has no pairs, or the count is no whole number of 1 or more.

@@ -19,12 +19,12 @@ from pasdedeux.learning.sampling import VariantSampler
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import BatchParameters, write_variants
-from tasks.facts import ModelFacts, TakeFacts, VariantFacts, VariantOrigin
 from tasks.ingest.files import load_file, read_again
+from tasks.rows.takes import read_take
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
-from tasks.streams import stream
-from tasks.sweep import SweptParameters
-from tasks.takes import read_take
+from tasks.stage.facts import ModelFacts, TakeFacts, VariantFacts, VariantOrigin
+from tasks.stage.streams import stream
+from tasks.stage.sweep import SweptParameters
 from tasks.training.run import load_stored, refuse_without_torch
 
 GENERATION = StageName("generation", 1)

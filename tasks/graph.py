@@ -10,7 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 
 import tasks
 from pasdedeux.settings import Settings
-from tasks.curation import CurationSettings
+from tasks.files.curation import CurationSettings
 from tasks.stage import Parameters, Stage
 
 _NO_STAGE = "shards"

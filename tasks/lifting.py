@@ -23,9 +23,10 @@ from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.annotated_pairs import PairPlace, SeenPair, read_seen_pairs
-from tasks.committing import commit
-from tasks.draw_sets import (
+from tasks.priors import read_limits, read_torso_basis
+from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
+from tasks.rows.annotated_pairs import PairPlace, SeenPair, read_seen_pairs
+from tasks.rows.draw_sets import (
     DrawSet,
     density_of,
     draw_manifests,
@@ -35,14 +36,13 @@ from tasks.draw_sets import (
     read_draw_sets,
     reference_to,
 )
-from tasks.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
-from tasks.kept import kept
-from tasks.lifted_rows import EXPECTED, Row, Together, as_columns, fill_span, lift_annotation, lifted_row
-from tasks.over_time import couples_of, is_video, lift_couple
-from tasks.priors import read_limits, read_torso_basis
-from tasks.projections import Pitches, ProjectionsParameters, read_database, read_pairs
+from tasks.rows.lifted_rows import EXPECTED, Row, Together, as_columns, fill_span, lift_annotation, lifted_row
+from tasks.seeds.over_time import couples_of, is_video, lift_couple
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
-from tasks.streams import stream
+from tasks.stage.committing import commit
+from tasks.stage.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
+from tasks.stage.kept import kept
+from tasks.stage.streams import stream
 
 LIFTING = StageName("lifting", 16)
 

@@ -16,10 +16,10 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.committing import commit
-from tasks.facts import PriorFacts, SequenceFacts, TakeFacts, facts_of, merge_takes
+from tasks.rows.takes import read_motion
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
-from tasks.takes import read_motion
+from tasks.stage.committing import commit
+from tasks.stage.facts import PriorFacts, SequenceFacts, TakeFacts, facts_of, merge_takes
 
 PRIORS = StageName("priors", 4)
 

@@ -29,12 +29,12 @@ from pasdedeux.reconstruction.sequence import SearchedDatabase
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.committing import commit, followed
-from tasks.draw_sets import is_chain
-from tasks.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, merge_takes
+from tasks.rows.draw_sets import is_chain
+from tasks.rows.takes import read_motion, read_rest
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
-from tasks.streams import stream
-from tasks.takes import read_motion, read_rest
+from tasks.stage.committing import commit, followed
+from tasks.stage.facts import DrawFacts, Facts, ProjectionFacts, TakeFacts, merge_takes
+from tasks.stage.streams import stream
 
 PROJECTIONS = StageName("projections", 6)
 

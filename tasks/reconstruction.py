@@ -26,12 +26,12 @@ from pasdedeux.reconstruction.views.seen import camera_facts, upright_m
 from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.camera_motions import read_camera_motion
-from tasks.committing import commit, join_columns
-from tasks.facts import MotionFacts, SequenceFacts, merge_takes, shares_takes
-from tasks.kept import kept
 from tasks.projections import clusters_of, read_cameras, read_clusters, read_pairs, read_searched
+from tasks.rows.camera_motions import read_camera_motion
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
+from tasks.stage.committing import commit, join_columns
+from tasks.stage.facts import MotionFacts, SequenceFacts, merge_takes, shares_takes
+from tasks.stage.kept import kept
 
 RECONSTRUCTION = StageName("reconstruction", 25)
 

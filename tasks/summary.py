@@ -12,8 +12,8 @@ from pasdedeux.evaluation.verdicts import NamedVerdict, merge_verdicts, part_nam
 from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest
-from tasks.draw_sets import is_chain
-from tasks.facts import (
+from tasks.rows.draw_sets import is_chain
+from tasks.stage.facts import (
     DrawFacts,
     Facts,
     LiftedFacts,
@@ -25,7 +25,7 @@ from tasks.facts import (
     VariantFacts,
     facts_of,
 )
-from tasks.judgements import verdict_of, verdicts_of_parts
+from tasks.stage.judgements import verdict_of, verdicts_of_parts
 
 _APART = "evaluation"
 """The stage whose partitions, topics, are judged one by one."""

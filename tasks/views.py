@@ -12,11 +12,11 @@ from pasdedeux.cameras.views import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.plain_text import counted
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PairPlace, pairs_by_place, place_columns
-from tasks.committing import commit
-from tasks.facts import SequenceFacts, ViewFacts, merge_takes, shares_takes
 from tasks.priors import default_origin, read_torso_basis
+from tasks.rows.annotated_pairs import PairPlace, pairs_by_place, place_columns
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, StageName
+from tasks.stage.committing import commit
+from tasks.stage.facts import SequenceFacts, ViewFacts, merge_takes, shares_takes
 
 VIEWS = StageName("views", 4)
 

@@ -32,10 +32,10 @@ from pasdedeux.learning.shuffling import WindowOrder
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store, parse_reference, resolve
 from storage_schema.unpacked import CONTACT, ROWS
-from tasks.curation import choices_for, names_left_out
-from tasks.sides import SplitName, take_sides
-from tasks.streams import stream
-from tasks.unpacking import unpack_artifacts, unpack_folder
+from tasks.files.curation import choices_for, names_left_out
+from tasks.rows.sides import SplitName, take_sides
+from tasks.rows.unpacking import unpack_artifacts, unpack_folder
+from tasks.stage.streams import stream
 
 GroupName = Literal["take", "interaction"]
 Field = Literal["positions", "rotations", "source", "contacts", "mask", "scales", "skeleton"]

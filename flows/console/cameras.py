@@ -17,6 +17,7 @@ from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
 from pasdedeux.people.video import check_one_video
 from pasdedeux.reconstruction.moving_camera import subtract_motion
 from pasdedeux.reconstruction.tracks import Track, tracks_of
+from tasks.files.user_files import MAX_TEXT_BYTES, read_file
 from tasks.ingest.film.detector_files import fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import is_film
@@ -24,7 +25,6 @@ from tasks.ingest.film.run import FoundFilm, find_videos
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
 from tasks.ingest.poses2d.run import track_columns
-from tasks.user_files import MAX_TEXT_BYTES, read_file
 
 
 def find_video(

@@ -29,7 +29,7 @@ from pasdedeux.plain_text import counted
 from pasdedeux.plausibility import capture
 from pasdedeux.threads import use_one_thread
 from pasdedeux.verdict import Level
-from tasks.checking import (
+from tasks.ingest.checking import (
     UNREADABLE,
     Checked,
     MotionFiles,
@@ -118,7 +118,7 @@ def _pool(workers: int | None) -> Iterator[Run]:
     """Yield a function that runs work in processes and shows progress; small work runs in this process."""
     use_one_thread()
     context = get_context("forkserver")
-    context.set_forkserver_preload(["tasks.checking"])
+    context.set_forkserver_preload(["tasks.ingest.checking"])
     with ProcessPoolExecutor(workers or len(os.sched_getaffinity(0)), context) as pool:
 
         def run(work: Callable[..., Any], rows: Sequence[tuple[Any, ...]], few: int = _FEW) -> list[Any]:

@@ -15,9 +15,9 @@ from pasdedeux.errors import InputError, named
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
 from pasdedeux.plain_text import counted
 from storage_schema import parse_reference, resolve, source_credits
-from tasks.draw_sets import read_all_draws
-from tasks.facts import merge_takes
-from tasks.user_files import read_file
+from tasks.files.user_files import read_file
+from tasks.rows.draw_sets import read_all_draws
+from tasks.stage.facts import merge_takes
 
 
 @app.command()

@@ -15,7 +15,7 @@ from flows.viewing.shelf import open_shelf
 from pasdedeux.errors import InputError
 from storage_schema import parse_reference
 from storage_schema.references import find_rows
-from tasks.curation import Choosing
+from tasks.files.curation import Choosing
 
 CURATION = Path("curation.txt")
 CurationOption = Annotated[Path, Option("--curation", metavar="FILE", help="File of choices; made when missing.")]

@@ -27,10 +27,10 @@ from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.plain_text import counted
-from tasks.downloads import FetchError, download
+from tasks.files.downloads import FetchError, download
+from tasks.files.user_files import read_file
 from tasks.ingest.film.detector_files import KNOWN_DETECTORS, NetworkAddress, check_network, network_address
 from tasks.ingest.takes.known_sources import CMU_CREDIT, has_changed, note_fetched
-from tasks.user_files import read_file
 
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
 _MAX_FILE_BYTES = 200_000_000

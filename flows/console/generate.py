@@ -24,10 +24,10 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, source_credits
-from tasks.facts import TakeFacts
 from tasks.generation import draws_bodies, sampling_stream, variant_name
 from tasks.ingest.files import load_file
-from tasks.takes import read_take
+from tasks.rows.takes import read_take
+from tasks.stage.facts import TakeFacts
 
 
 @app.command()

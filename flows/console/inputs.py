@@ -23,7 +23,7 @@ from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.sequence import SearchedDatabase
 from pasdedeux.settings import first_problem
 from storage_schema import ArtifactRef, Store, latest_studies, parse_reference, read_latest, resolve
-from tasks.facts import ModelFacts
+from tasks.files.user_files import exported_unit_m
 from tasks.graph import load_graph
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.files import load_file
@@ -31,7 +31,7 @@ from tasks.ingest.poses2d.parameters import SourceOptions
 from tasks.ingest.takes.parameters import PersonOptions, TakeParameters
 from tasks.projections import read_pairs, read_searched
 from tasks.stage import StageInputs
-from tasks.user_files import exported_unit_m
+from tasks.stage.facts import ModelFacts
 
 Source = TypeVar("Source", bound=SourceOptions)
 _HOW_TO_GET_ONE = (

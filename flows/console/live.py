@@ -31,9 +31,9 @@ from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tasks.files.user_files import read_file
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ
-from tasks.user_files import read_file
 
 STOP_NAME = "STOP"
 """A file of this name in the folder ends the video."""

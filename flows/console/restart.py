@@ -21,10 +21,10 @@ from flows.study_files import HEAD, PUBLISH, StudyTree
 from pasdedeux.errors import named
 from pasdedeux.formats.pair_file import read_pair_json, write_pair_json
 from storage_schema import Store
-from tasks.draw_sets import REPAIRED
+from tasks.files.user_files import read_file
+from tasks.rows.draw_sets import REPAIRED
 from tasks.seeds.files import DrawSeed, pair_of_draw
-from tasks.sweep import merged
-from tasks.user_files import read_file
+from tasks.stage.sweep import merged
 
 _NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0, "num_filled": 0}
 

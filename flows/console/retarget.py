@@ -37,12 +37,12 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, source_credits
 from tasks.data import LOOK, player_page
 from tasks.evaluation.augmentation import variant_player
-from tasks.facts import TakeFacts
 from tasks.ingest.files import load_file
 from tasks.ingest.takes.parameters import PersonOptions
 from tasks.ingest.takes.resolution import resolve_file
-from tasks.judgements import verdict_of
-from tasks.takes import read_take
+from tasks.rows.takes import read_take
+from tasks.stage.facts import TakeFacts
+from tasks.stage.judgements import verdict_of
 
 _MISFIT_M = 0.05
 """A larger misfit in any distance of a body is a warning."""

@@ -30,6 +30,7 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.people.video import why_no_video
 from pasdedeux.plain_text import counted, visible
 from pasdedeux.skeletons.layouts import Draft, find_layout
+from tasks.files.user_files import exported_unit_m
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import find_videos
@@ -41,7 +42,6 @@ from tasks.ingest.takes.parameters import PersonOptions
 from tasks.ingest.takes.resolution import find_companion, resolve_file
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.stage import SourceFile
-from tasks.user_files import exported_unit_m
 from tasks.views import ViewsParameters
 
 _SURE, _LIKELY = 0.9, 0.6

@@ -17,7 +17,7 @@ from flows.viewing.own_joints import open_own_joints
 from flows.viewing.shelf import Shelf, open_shelf
 from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
-from tasks.curation import Choosing
+from tasks.files.curation import Choosing
 
 
 @app.command()

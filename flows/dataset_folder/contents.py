@@ -18,9 +18,9 @@ from storage_schema import ArtifactRef, Dataset, Manifest, Store, lineage
 from storage_schema.ancestry import held_out
 from storage_schema.datasets import digest_of
 from storage_schema.parquet_files import ROW_GROUP_ROWS
-from tasks.curation import content_columns, recorded_choices, rejected_names, rejections, rows_without
-from tasks.facts import Facts, SequenceFacts, TakeFacts, VariantFacts
-from tasks.sides import SPLITS, Side, SplitName, take_sides
+from tasks.files.curation import content_columns, recorded_choices, rejected_names, rejections, rows_without
+from tasks.rows.sides import SPLITS, Side, SplitName, take_sides
+from tasks.stage.facts import Facts, SequenceFacts, TakeFacts, VariantFacts
 
 Ranges = tuple[tuple[int, int], ...]
 _FORBIDS = re.compile(

@@ -33,9 +33,9 @@ from storage_schema.durable import make_folder, write_file
 from storage_schema.keys import json_file
 from storage_schema.runs import STUDY_FILE
 from tasks.data import Clip, player_page
-from tasks.facts import TakeFacts
-from tasks.sides import SPLITS
-from tasks.takes import take_of
+from tasks.rows.sides import SPLITS
+from tasks.rows.takes import take_of
+from tasks.stage.facts import TakeFacts
 
 ARTIFACTS_FILE, PAGE = "artifacts.json", "index.html"
 _MAX_PLAYERS = 12

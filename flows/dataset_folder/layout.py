@@ -13,7 +13,7 @@ from storage_schema import CorruptArtifact
 from storage_schema.keys import json_file
 from storage_schema.manifest import refuse_newer
 from storage_schema.version import SCHEMA_VERSION
-from tasks.sides import Side
+from tasks.rows.sides import Side
 
 MANIFEST, RECORD, SPLITS_FILE = "manifest.json", "record", "splits.json"
 

@@ -40,11 +40,11 @@ from storage_schema.parquet_files import TableWriter, iter_table
 from storage_schema.table_data import TableData
 from storage_schema.version import SCHEMA_VERSION
 from tasks.augmentation import batch_of
-from tasks.contacts import ContactRows
-from tasks.facts import PeopleFacts, TakeFacts
-from tasks.judgements import verdict_of
-from tasks.sides import SPLITS
-from tasks.takes import read_rest, read_take, take_of
+from tasks.rows.contacts import ContactRows
+from tasks.rows.sides import SPLITS
+from tasks.rows.takes import read_rest, read_take, take_of
+from tasks.stage.facts import PeopleFacts, TakeFacts
+from tasks.stage.judgements import verdict_of
 
 FILE_BYTES = 100_000_000
 """Approximate size of a data file: it ends with the row group that reaches this."""

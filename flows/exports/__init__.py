@@ -18,8 +18,8 @@ from flows.exports.export_format import POSED_OPTIONS, Export, ExportFormat, Rat
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, Store, TableData, UnknownReference, parse_reference, referenced_credits, resolve
 from storage_schema.encoding import encode
-from tasks.curation import IDENTITY, choices_for, content_of, rejections
-from tasks.selection import READS, select_pairs
+from tasks.files.curation import IDENTITY, choices_for, content_of, rejections
+from tasks.rows.selection import READS, select_pairs
 
 EXPORT_FORMATS = {
     "npz": "flows.exports.npz_table",

@@ -32,11 +32,11 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.ancestry import inputs_with
 from storage_schema.references import find_rows
-from tasks.curation import IDENTITY, rows_without
-from tasks.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
-from tasks.judgements import verdict_of
-from tasks.products import PRODUCT_COLUMNS, PRODUCTS, method_name, product_rows
-from tasks.takes import read_motion, read_variants, take_of
+from tasks.files.curation import IDENTITY, rows_without
+from tasks.rows.products import PRODUCT_COLUMNS, PRODUCTS, method_name, product_rows
+from tasks.rows.takes import read_motion, read_variants, take_of
+from tasks.stage.facts import MotionFacts, PeopleFacts, TakeFacts, VariantFacts
+from tasks.stage.judgements import verdict_of
 
 MOVING = ("poses", "variants", "motions")
 """Tables of whole motions."""

@@ -12,7 +12,7 @@ from pasdedeux.augmentation import Source
 from pasdedeux.errors import InputError
 from storage_schema import TABLES, ArtifactRef, Reference, Store, TableData, UnknownReference, resolve
 from storage_schema.encoding import encode
-from tasks.contacts import ContactRows, find_contact_rows
+from tasks.rows.contacts import ContactRows, find_contact_rows
 
 CONTACTS = TABLES["contacts"].name
 _PARTS = {"poses": ("take_id",), "variants": ("take_id", "variant_id"), "motions": ("sequence_id", "method")}

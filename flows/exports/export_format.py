@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Reference, SourceCredit, Store, TableData, iter_rows
 from storage_schema.columns import is_plain_name
-from tasks.curation import names_left_out, without
+from tasks.files.curation import names_left_out, without
 
 RestPose = Literal["source", "standing"]
 Units = Literal["cm", "m", "source"]
@@ -44,7 +44,7 @@ class Export:
         footage: Video for drawing results on; None for blank frames.
         body_model: Body model for parameters.
         sources: Licences and credits of the rows.
-        choices: Accepted and rejected items, in the form of a study, see `tasks.curation`.
+        choices: Accepted and rejected items, in the form of a study, see `tasks.files.curation`.
         make_rows: Makes the rows, for a table that is in no store.
     """
 

@@ -14,8 +14,8 @@ from flows.templates import render
 from pasdedeux.learning.registry import Weights, write_weights
 from pasdedeux.plain_text import markdown_text
 from storage_schema import Manifest, Store
-from tasks.facts import ModelFacts, TakeFacts
-from tasks.judgements import verdict_of
+from tasks.stage.facts import ModelFacts, TakeFacts
+from tasks.stage.judgements import verdict_of
 from tasks.training.run import load_stored
 
 

@@ -20,8 +20,8 @@ from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import Skeleton
 from storage_schema import Store
 from storage_schema.ancestry import inputs_with
-from tasks.facts import PeopleFacts
 from tasks.ingest.film.readers import first_shown, image_at, open_film
+from tasks.stage.facts import PeopleFacts
 
 _GREY, _BACKGROUND = (150, 150, 150), 30
 _OPAQUE = 0.75

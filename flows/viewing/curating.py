@@ -11,7 +11,7 @@ from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.scene import Scene
 from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf, moment_reference
-from tasks.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
+from tasks.files.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
 
 if TYPE_CHECKING:
     from flows.viewing.viewer import Viewer

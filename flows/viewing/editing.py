@@ -26,7 +26,7 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef
-from tasks.curation import POSITIONS
+from tasks.files.curation import POSITIONS
 from tasks.ingest.film.resolution import CorrectedShot
 from tasks.lifting import lift_again
 from tasks.priors import read_limits

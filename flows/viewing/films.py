@@ -14,13 +14,13 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
+from tasks.files.user_files import digest_of
 from tasks.ingest.film.detector_files import find_network
 from tasks.ingest.film.parameters import FilmParameters
 from tasks.ingest.film.readers import FilmFrame, first_shown, image_at, read_film
 from tasks.ingest.film.resolution import CorrectedShot
 from tasks.ingest.poses2d.readers import find_cameras, read_header, video_beside
 from tasks.stage import SourceFile
-from tasks.user_files import digest_of
 
 _LARGEST_PX = 960
 """Longer side of the images."""

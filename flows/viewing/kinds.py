@@ -26,11 +26,11 @@ from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.skeletons import BODY22, COUNTED17, OP14, PAIR17, Skeleton
 from storage_schema import ArtifactRef, Store
 from storage_schema.ancestry import inputs_with
-from tasks.annotated_pairs import PairPlace, SeenPair, place_of, read_seen_pairs
-from tasks.facts import MotionFacts
-from tasks.judgements import verdicts_of_parts
 from tasks.projections import read_database
-from tasks.takes import rate_of, read_motion, read_objects, take_of
+from tasks.rows.annotated_pairs import PairPlace, SeenPair, place_of, read_seen_pairs
+from tasks.rows.takes import rate_of, read_motion, read_objects, take_of
+from tasks.stage.facts import MotionFacts
+from tasks.stage.judgements import verdicts_of_parts
 
 IMAGE_HEIGHT_M = 2.0
 """An image without a camera stands in the room, this high."""

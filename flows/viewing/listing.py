@@ -13,7 +13,7 @@ from flows.viewing.panel import Panel, set_value
 from flows.viewing.shelf import GROUPS, Item, Part, Shelf
 from pasdedeux.evaluation.shown_figures import figure_label, figure_words
 from pasdedeux.verdict import Level
-from tasks.curation import UNDECIDED
+from tasks.files.curation import UNDECIDED
 
 ALL, FAILS, WARNS, PASSES = "all", "fail", "warn", "pass"
 STORED_ORDER = "as stored"

@@ -21,10 +21,10 @@ from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
 from storage_schema.ancestry import inputs_with
-from tasks.annotated_pairs import read_people
 from tasks.evaluation.ground_truth import GroundTruth
-from tasks.facts import SequenceFacts
 from tasks.reconstruction import read_subtracted_motion
+from tasks.rows.annotated_pairs import read_people
+from tasks.stage.facts import SequenceFacts
 
 _NUM_LOCATED = 60
 """Frames used to locate the camera of a reconstruction."""

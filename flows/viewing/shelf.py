@@ -33,7 +33,7 @@ from storage_schema import (
 )
 from storage_schema.references import find_rows
 from storage_schema.table_data import concatenate
-from tasks.curation import IDENTITY
+from tasks.files.curation import IDENTITY
 
 GROUPS = {**IDENTITY, "lifted_pairs": ("method",), "draws": ("density", "seed_index", "chain"), "seeds": ("origin",)}
 """Tables that can be viewed, with the columns that group their rows into items."""

@@ -31,7 +31,7 @@ from flows.viewing.side import Pointer
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.shown_figures import figure_words
 from pasdedeux.skeletons import PAIR17, WORKING_SKELETONS
-from tasks.curation import Choosing
+from tasks.files.curation import Choosing
 
 TICK_S = 1.0 / 30.0
 

@@ -52,7 +52,7 @@ _FIGURES = Path(__file__).with_name("figures.jsonl").read_text(encoding="utf-8")
 
 
 def figures(table: str) -> tuple[Column, ...]:
-    """Describe the figures of a table, as they are declared where they are measured; see `tasks/figures.py`."""
+    """Describe the figures of a table, as they are declared where they are measured; see `tasks/rows/figures.py`."""
     rows = map(json.loads, _FIGURES.splitlines())
     return tuple(
         Column(name, meaning, pa.type_for_alias(alias), unit, is_nullable=is_nullable)

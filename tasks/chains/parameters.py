@@ -13,9 +13,9 @@ from pasdedeux.sampling.densities.density import PRIOR_ONLY, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.sampling.repair import RepairSettings
 from pasdedeux.settings import Settings
-from tasks.draw_sets import REPAIRED
+from tasks.rows.draw_sets import REPAIRED
 from tasks.stage import Parameters
-from tasks.sweep import SweptParameters
+from tasks.stage.sweep import SweptParameters
 
 
 def _one_of(names: Iterable[str], what: str) -> Callable[[str], str]:

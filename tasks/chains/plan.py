@@ -11,7 +11,6 @@ from pasdedeux.sampling.densities.density import TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from pasdedeux.sampling.repair import RepairSettings
 from storage_schema import Manifest
-from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.chains.parameters import (
     ChainSegmentParameters,
     ChainsParameters,
@@ -19,9 +18,10 @@ from tasks.chains.parameters import (
     RunSettings,
     SummaryParameters,
 )
-from tasks.draw_sets import GROWN, is_set
-from tasks.facts import SeedFacts
+from tasks.rows.annotated_pairs import annotated_pairs, views_of
+from tasks.rows.draw_sets import GROWN, is_set
 from tasks.stage import Shard, StageInputs, StageName
+from tasks.stage.facts import SeedFacts
 
 CHAINS = StageName("chains", 18)
 _STARTS_OF_A_SHARD = 200

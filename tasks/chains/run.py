@@ -33,14 +33,14 @@ from pasdedeux.sampling.speeds import Speeds, annotation_speeds
 from pasdedeux.sampling.warm_up import disperse, warm_up
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, gather_tracks
 from tasks.chains.parameters import ChainSegmentParameters, RepairParameters, SummaryParameters
-from tasks.committing import commit, followed
-from tasks.facts import ChainFacts, DrawFacts, merge_takes
-from tasks.kept import kept
 from tasks.priors import read_limits
+from tasks.rows.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, gather_tracks
 from tasks.stage import Shard
-from tasks.streams import stream
+from tasks.stage.committing import commit, followed
+from tasks.stage.facts import ChainFacts, DrawFacts, merge_takes
+from tasks.stage.kept import kept
+from tasks.stage.streams import stream
 
 Refs = tuple[ArtifactRef, ...]
 MIN_PLAUSIBLE_SHARE = 0.9

@@ -34,9 +34,9 @@ from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.augmentation import batch_of, solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import TakeFacts, VariantFacts
+from tasks.rows.takes import read_take, read_variants
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.takes import read_take, read_variants
+from tasks.stage.facts import TakeFacts, VariantFacts
 
 _OURS, _PLAIN = "interaction_mesh", "naive_fk"
 _FK_DRIFT = "contact_drift_fk_m"

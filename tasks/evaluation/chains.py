@@ -17,12 +17,12 @@ from pasdedeux.sampling.diagnostics import FIGURES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import Manifest, Store
-from tasks.annotated_pairs import annotated_pairs, read_all_seen, with_views
-from tasks.draw_sets import is_chain, knows_annotations
 from tasks.evaluation.lifting_pictures import rows_figure
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import DrawFacts
+from tasks.rows.annotated_pairs import annotated_pairs, read_all_seen, with_views
+from tasks.rows.draw_sets import is_chain, knows_annotations
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage.facts import DrawFacts
 
 _REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "min": np.min, "max": np.max}
 _NUM_SHOWN = 50

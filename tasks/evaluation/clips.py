@@ -11,9 +11,9 @@ from pasdedeux.evaluation.pictures import Picture, image_panel, pack_player
 from pasdedeux.skeletons import OP14
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import SequenceFacts
+from tasks.rows.takes import by_frame_and_person, rate_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.takes import by_frame_and_person, rate_of
+from tasks.stage.facts import SequenceFacts
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20
 _CLIP_S = 4.0

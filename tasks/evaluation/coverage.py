@@ -31,14 +31,14 @@ from pasdedeux.interaction.nearest import PairTable, cartesian_distances, pair_t
 from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.draw_sets import GROWN, DrawSet, baselines_of, draw_manifests, is_chain, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
-from tasks.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
-from tasks.kept import kept
+from tasks.rows.draw_sets import GROWN, DrawSet, baselines_of, draw_manifests, is_chain, read_draw_sets
+from tasks.rows.takes import takes_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import takes_of
+from tasks.stage.facts import DrawFacts, SeedFacts, SequenceFacts, TakeFacts
+from tasks.stage.kept import kept
+from tasks.stage.streams import stream
 
 SPLITS = ("annotated", "unannotated", "held_out")
 _MEASURES = {

@@ -10,8 +10,8 @@ from pasdedeux.reconstruction.errors import root_centred_error_m
 from storage_schema import Store
 from tasks.evaluation.reconstruction import read_reconstructed
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage.facts import MotionFacts, SequenceFacts, TakeFacts
 
 _SUFFIX = ".detector"
 _NOISE_ALONE = "noise_alone"

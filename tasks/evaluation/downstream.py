@@ -18,10 +18,10 @@ from pasdedeux.learning.meter import GENERATED, SOLVER
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.rows.takes import takes_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import takes_of
+from tasks.stage.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.stage.streams import stream
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import refuse_without_torch
 

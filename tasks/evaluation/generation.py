@@ -23,10 +23,10 @@ from storage_schema import Manifest, Store
 from tasks.evaluation.augmentation import contact_drifts, variant_player
 from tasks.evaluation.realism import LearnedSettings, distance_scores, train_on_real
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
-from tasks.facts import ModelFacts, VariantFacts
+from tasks.rows.takes import takes_of
 from tasks.stage import Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import takes_of
+from tasks.stage.facts import ModelFacts, VariantFacts
+from tasks.stage.streams import stream
 from tasks.training.items import StoredVariants, interactions_of
 
 if TYPE_CHECKING:

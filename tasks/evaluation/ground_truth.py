@@ -9,9 +9,9 @@ import numpy as np
 
 from pasdedeux.cameras.pinhole import PinholeCamera
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PairPlace
-from tasks.facts import SequenceFacts, TakeFacts
-from tasks.takes import read_motion
+from tasks.rows.annotated_pairs import PairPlace
+from tasks.rows.takes import read_motion
+from tasks.stage.facts import SequenceFacts, TakeFacts
 
 
 @dataclass(frozen=True)

@@ -36,14 +36,14 @@ from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PairPlace, SeenPair, annotated_pairs, read_all_seen, with_views
-from tasks.draw_sets import baselines_of, density_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
-from tasks.facts import SequenceFacts
+from tasks.rows.annotated_pairs import PairPlace, SeenPair, annotated_pairs, read_all_seen, with_views
+from tasks.rows.draw_sets import baselines_of, density_of, draw_manifests, read_draw_sets
+from tasks.rows.takes import takes_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import takes_of
+from tasks.stage.facts import SequenceFacts
+from tasks.stage.streams import stream
 
 NearestCurve = Mapping[int, Array]
 """Least d_I of each annotation (annotation,), metres, to any of the first draws, by their number."""

@@ -22,7 +22,10 @@ from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread, some_of
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.annotated_pairs import (
+from tasks.evaluation.ground_truth import GroundTruth, TruePair
+from tasks.evaluation.lifting_pictures import expected_figure, lifted_player, rows_figure
+from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
+from tasks.rows.annotated_pairs import (
     PLACE_COLUMNS,
     PairPlace,
     SeenPair,
@@ -31,16 +34,13 @@ from tasks.annotated_pairs import (
     read_all_seen,
     with_views,
 )
-from tasks.draw_sets import GROWN, draw_manifests, knows_annotations, read_all_draws, read_draw_sets
-from tasks.evaluation.ground_truth import GroundTruth, TruePair
-from tasks.evaluation.lifting_pictures import expected_figure, lifted_player, rows_figure
-from tasks.evaluation.topic import Topic, TopicResult, refuse_learned, refuse_overlap
-from tasks.facts import LiftedFacts, SequenceFacts
-from tasks.lifted_rows import EXPECTED
-from tasks.products import BASELINES
+from tasks.rows.draw_sets import GROWN, draw_manifests, knows_annotations, read_all_draws, read_draw_sets
+from tasks.rows.lifted_rows import EXPECTED
+from tasks.rows.products import BASELINES
+from tasks.rows.takes import takes_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import takes_of
+from tasks.stage.facts import LiftedFacts, SequenceFacts
+from tasks.stage.streams import stream
 
 _BASELINES = (*BASELINES["lifted_pairs"], *BASELINES["in_betweens"], "nearest_draw")
 _COMPLETED, _BETWEEN, _BETWEEN_LIFTED = "completed joints", "frames between", "frames between lifted pairs"

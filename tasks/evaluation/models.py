@@ -28,9 +28,9 @@ from storage_schema import Manifest, Store, TableData
 from tasks.augmentation import solver_variants
 from tasks.evaluation.model_tables import AT_LARGEST, LARGEST_SCALE, model_tables
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import ModelFacts, TakeFacts, VariantFacts
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
+from tasks.stage.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.stage.streams import stream
 from tasks.training.items import StoredVariants, frame_errors, interactions_of
 from tasks.training.run import load_stored
 

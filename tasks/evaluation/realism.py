@@ -21,10 +21,10 @@ from pasdedeux.spread import some_of
 from storage_schema import Manifest, Store
 from tasks.augmentation import solver_variants
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.rows.takes import read_take, takes_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import read_take, takes_of
+from tasks.stage.facts import ModelFacts, TakeFacts, VariantFacts
+from tasks.stage.streams import stream
 from tasks.training.items import StoredVariants, interaction_of, interactions_of
 from tasks.training.run import load_stored, refuse_without_torch
 

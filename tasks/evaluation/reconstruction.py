@@ -25,14 +25,14 @@ from pasdedeux.reconstruction.errors import (
 )
 from pasdedeux.reconstruction.film_alignment import FilmAlignment, align_film
 from storage_schema import ArtifactRef, Store, TableData
-from tasks import products
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
-from tasks.facts import MotionFacts, SequenceFacts, TakeFacts
 from tasks.reconstruction import LEVEL, read_tracks
-from tasks.shown_motions import ShownMotion, read_motion_rows, read_shown_motion
+from tasks.rows import products
+from tasks.rows.shown_motions import ShownMotion, read_motion_rows, read_shown_motion
+from tasks.rows.takes import rate_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.takes import rate_of
+from tasks.stage.facts import MotionFacts, SequenceFacts, TakeFacts
 
 BASELINES = (*products.BASELINES["motions"], LEVEL, "standing_still", "truth", "equal_depth")
 """Methods that others are compared with, bounds among them."""

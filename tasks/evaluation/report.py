@@ -21,11 +21,11 @@ from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from storage_schema.credits import merge_credits
 from storage_schema.runs import REPORT_PAGE
-from tasks.committing import commit, followed
 from tasks.evaluation.topic import EVALUATION, ScoresOf, Topic
-from tasks.facts import Facts, TakeFacts, TopicFacts, merge_takes
-from tasks.judgements import verdict_of
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage.committing import commit, followed
+from tasks.stage.facts import Facts, TakeFacts, TopicFacts, merge_takes
+from tasks.stage.judgements import verdict_of
 from tasks.summary import judge, summary_of
 
 PARTITION = "report"

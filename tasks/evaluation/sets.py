@@ -21,15 +21,15 @@ from pasdedeux.sampling.selection import DUPLICATE_M, MIN_LOG_PRIOR
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store
-from tasks.draw_sets import GROWN, baselines_of, draw_manifests, read_draw_sets
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult, refuse_learned
-from tasks.facts import TakeFacts
 from tasks.priors import read_limits
-from tasks.selection import READS, select_pairs
+from tasks.rows.draw_sets import GROWN, baselines_of, draw_manifests, read_draw_sets
+from tasks.rows.selection import READS, select_pairs
+from tasks.rows.takes import takes_of
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import takes_of
+from tasks.stage.facts import TakeFacts
+from tasks.stage.streams import stream
 
 SIZE = 500
 """Pairs of every set that are compared, or fewer where a set has fewer."""

@@ -17,10 +17,10 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import TakeFacts
-from tasks.judgements import verdict_of
+from tasks.rows.takes import read_motion
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.takes import read_motion
+from tasks.stage.facts import TakeFacts
+from tasks.stage.judgements import verdict_of
 
 _CLOSE_M = 0.15
 """Closest joints under this distance count as close contact."""

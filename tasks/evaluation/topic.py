@@ -12,9 +12,9 @@ from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.evaluation.verdicts import Criterion, Items, merge_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.committing import commit
-from tasks.facts import Facts, TopicFacts, merge_takes
 from tasks.stage import Parameters, Shard, StageInputs, StageName
+from tasks.stage.committing import commit
+from tasks.stage.facts import Facts, TopicFacts, merge_takes
 
 EVALUATION = StageName("evaluation", 71)
 

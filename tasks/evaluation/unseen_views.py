@@ -39,11 +39,11 @@ from pasdedeux.reconstruction.unseen_views import (
 )
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
-from tasks.facts import Facts, TakeFacts, merge_takes
 from tasks.projections import clusters_of, read_clusters, read_database
+from tasks.rows.takes import read_motion
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.streams import stream
-from tasks.takes import read_motion
+from tasks.stage.facts import Facts, TakeFacts, merge_takes
+from tasks.stage.streams import stream
 
 _BASELINES = (Method.NEAREST.value, BEST, STILL, "truth")
 """Methods that others are compared with, bounds among them."""

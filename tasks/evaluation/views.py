@@ -14,11 +14,11 @@ from pasdedeux.evaluation.scores import summarise
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.kinematics.rotations import normalise
 from storage_schema import Store, TableData
-from tasks.annotated_pairs import PLACE_COLUMNS, place_of
 from tasks.evaluation.ground_truth import GroundTruth, TruePair
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.facts import ViewFacts
+from tasks.rows.annotated_pairs import PLACE_COLUMNS, place_of
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage.facts import ViewFacts
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:

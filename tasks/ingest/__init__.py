@@ -8,8 +8,6 @@ from typing import Any
 from pasdedeux.errors import NobodyError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.committing import commit
-from tasks.facts import SkippedFacts
 from tasks.ingest.common import INGEST
 from tasks.ingest.film.parameters import FilmParameters
 from tasks.ingest.film.run import run_film
@@ -22,6 +20,8 @@ from tasks.ingest.takes.run import run_duet, run_take
 from tasks.ingest.virtual_video.parameters import VideoParameters
 from tasks.ingest.virtual_video.run import run_virtual_video
 from tasks.stage import Parameters, Shard, Stage
+from tasks.stage.committing import commit
+from tasks.stage.facts import SkippedFacts
 
 __all__ = ["STAGE", "IngestParameters", "plan", "run_shard"]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from pasdedeux.errors import InputError
 from pasdedeux.formats.file_format import LOOKED_AT_BYTES
 from pasdedeux.formats.npz import is_npz
+from tasks.files.user_files import digest_of, open_file, read_file
 from tasks.stage import SourceFile
-from tasks.user_files import digest_of, open_file, read_file
 
 
 @dataclass(frozen=True)

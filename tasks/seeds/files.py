@@ -24,10 +24,10 @@ from storage_schema import (
 )
 from storage_schema.ancestry import inputs_with
 from storage_schema.references import find_rows
-from tasks.facts import Facts
 from tasks.ingest.files import load_file, read_again
 from tasks.ingest.takes.resolution import NOT_STATED
 from tasks.stage import Parameters, Shard, SourceFile
+from tasks.stage.facts import Facts
 
 
 class SeedFile(Parameters):

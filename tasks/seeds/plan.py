@@ -9,10 +9,9 @@ from pasdedeux.errors import InputError
 from pasdedeux.plain_text import counted
 from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Manifest
-from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.facts import SequenceFacts, TakeFacts, shares_takes
-from tasks.over_time import is_video
+from tasks.rows.annotated_pairs import annotated_pairs, views_of
 from tasks.seeds.files import SeedFile, load_seed
+from tasks.seeds.over_time import is_video
 from tasks.seeds.parameters import (
     GROWN_OF_2D_ALONE,
     LIFTED_OF_2D_ALONE,
@@ -27,6 +26,7 @@ from tasks.seeds.parameters import (
     SeedsParameters,
 )
 from tasks.stage import Shard, StageInputs
+from tasks.stage.facts import SequenceFacts, TakeFacts, shares_takes
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:

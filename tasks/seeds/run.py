@@ -22,17 +22,17 @@ from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, read_people
-from tasks.committing import commit, followed
-from tasks.facts import SeedFacts, SequenceFacts, TakeFacts, merge_takes
-from tasks.over_time import couples_of, lift_couple
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import ProjectionsParameters
+from tasks.rows.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, read_people
+from tasks.rows.takes import read_motion
 from tasks.seeds.files import FileSeed, credits_of, read_seed
+from tasks.seeds.over_time import couples_of, lift_couple
 from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeedsShard, OverTimeSeeds
 from tasks.stage import Shard
-from tasks.streams import stream
-from tasks.takes import read_motion
+from tasks.stage.committing import commit, followed
+from tasks.stage.facts import SeedFacts, SequenceFacts, TakeFacts, merge_takes
+from tasks.stage.streams import stream
 
 MIN_GROWN_SHARE = 0.5
 """Share of the annotations asked for that must have grown to be no warning."""

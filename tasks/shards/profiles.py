@@ -15,8 +15,8 @@ from pydantic import Field, ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings, first_problem
+from tasks.files.user_files import read_text_file
 from tasks.shards.errors import ClusterError, in_one_line
-from tasks.user_files import read_text_file
 
 if TYPE_CHECKING:
     from distributed import Client, SpecCluster

@@ -23,11 +23,11 @@ from threadpoolctl import ThreadpoolController
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, CorruptArtifact, StorageError, Store, lineage
 from storage_schema.store import SHARD_S
-from tasks.committing import artifact_fields
-from tasks.kept import forget_kept
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
 from tasks.stage import Shard
+from tasks.stage.committing import artifact_fields
+from tasks.stage.kept import forget_kept
 
 if TYPE_CHECKING:
     from distributed import Client

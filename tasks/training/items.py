@@ -15,9 +15,9 @@ from pasdedeux.learning.splits import VariantKey
 from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import batch_of
-from tasks.curation import content_columns, rejected_names
-from tasks.facts import TakeFacts, VariantFacts
-from tasks.takes import TakeMotion, read_take, read_variants
+from tasks.files.curation import content_columns, rejected_names
+from tasks.rows.takes import TakeMotion, read_take, read_variants
+from tasks.stage.facts import TakeFacts, VariantFacts
 
 
 def interaction_of(take: Manifest) -> str:

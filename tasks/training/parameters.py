@@ -11,9 +11,9 @@ from pasdedeux.learning.registry import DEFAULT_MODELS, MODELS, model_class
 from pasdedeux.learning.splits import SPLIT_NAMES, SplitName
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
-from tasks.curation import CurationSettings
+from tasks.files.curation import CurationSettings
 from tasks.stage import Parameters, with_fields
-from tasks.sweep import SweptParameters
+from tasks.stage.sweep import SweptParameters
 
 SkeletonName = Literal["body22", "expi18"]
 DeviceName = Literal["auto", "cpu", "cuda"]

@@ -10,10 +10,10 @@ from pasdedeux.learning.registry import model_class
 from pasdedeux.learning.splits import Split, VariantKey, make_split
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations, variations
-from tasks.curation import rejections
-from tasks.facts import TakeFacts, VariantFacts
+from tasks.files.curation import rejections
 from tasks.stage import Shard, StageInputs, StageName
-from tasks.streams import stream
+from tasks.stage.facts import TakeFacts, VariantFacts
+from tasks.stage.streams import stream
 from tasks.training.items import interactions_of
 from tasks.training.parameters import TrainingParameters, TrainingSegmentParameters
 

@@ -15,10 +15,10 @@ from pasdedeux.learning.settings import has_torch
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.committing import commit, followed
-from tasks.facts import ModelFacts
 from tasks.stage import Shard
-from tasks.streams import stream
+from tasks.stage.committing import commit, followed
+from tasks.stage.facts import ModelFacts
+from tasks.stage.streams import stream
 from tasks.training.items import StoredVariants, frame_errors
 from tasks.training.parameters import TrainingSegmentParameters
 from tasks.training.plan import split_variants

@@ -12,8 +12,8 @@ from pasdedeux.formats.rigs.placement import place_motion
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, ShardRecord, Store, record_latest
 from tasks.ingest import STAGE, IngestParameters
-from tasks.judgements import verdict_of
 from tasks.stage import Shard, StageInputs
+from tasks.stage.judgements import verdict_of
 from tests.builders.source_samples import figure_motion
 
 

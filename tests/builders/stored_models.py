@@ -9,7 +9,7 @@ from pasdedeux.learning.model import VariantModel
 from pasdedeux.learning.registry import describe, model_arrays
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
-from tasks.judgements import VERDICT_FACT
+from tasks.stage.judgements import VERDICT_FACT
 
 
 def put_model(

@@ -19,11 +19,11 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.committing import commit
-from tasks.facts import Facts, TakeFacts, merge_takes
 from tasks.graph import Graph
 from tasks.stage import EarlyPlan, Parameters, Shard, SourceFile, Stage, StageInputs, StageName
-from tasks.streams import stream
+from tasks.stage.committing import commit
+from tasks.stage.facts import Facts, TakeFacts, merge_takes
+from tasks.stage.streams import stream
 
 __all__ = ["TOYS"]
 

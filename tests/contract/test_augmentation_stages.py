@@ -24,10 +24,10 @@ from tasks.augmentation import AugmentationParameters, batch_of
 from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
-from tasks.judgements import verdict_of
+from tasks.rows.takes import read_take
 from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage.judgements import verdict_of
 from tasks.summary import stage_verdict
-from tasks.takes import read_take
 from tasks.training import STAGE as TRAINING
 from tasks.training.parameters import TrainingParameters
 from tasks.training.run import load_stored, read_arrays

@@ -12,7 +12,6 @@ from pasdedeux.interaction.coverage import CoverageCurve
 from storage_schema import Store
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.draw_sets import baselines_of, read_draw_sets
 from tasks.evaluation import coverage, reconstruction
 from tasks.evaluation.coverage import (
     TOPIC,
@@ -21,6 +20,7 @@ from tasks.evaluation.coverage import (
     draws_from_first_seeds,
     real_frame_levels,
 )
+from tasks.rows.draw_sets import baselines_of, read_draw_sets
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, put_take, run, with_seeds
 from tests.builders.storage_rows import put

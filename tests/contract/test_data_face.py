@@ -27,10 +27,10 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import SchemaError, ShardRecord, Store, UnknownReference, open_table, record_latest
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters
-from tasks.contacts import find_contact_rows
 from tasks.data import Clip
-from tasks.facts import TakeFacts
+from tasks.rows.contacts import find_contact_rows
 from tasks.stage import StageInputs
+from tasks.stage.facts import TakeFacts
 from tests.builders.browser import in_browser
 from tests.builders.ingest_runs import planned, run
 from tests.builders.pages import Page

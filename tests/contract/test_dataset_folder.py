@@ -31,8 +31,8 @@ from storage_schema import TABLES, ArtifactRef, CorruptArtifact, SourceCredit, S
 from storage_schema.arrow import arrow_schema
 from storage_schema.datasets import open_dataset
 from storage_schema.keys import file_sha256
-from tasks.curation import content_of
 from tasks.data import Data
+from tasks.files.curation import content_of
 from tests.builders.stored_datasets import VARIANTS, put_dataset
 
 TAKES = {"alone": False, "hug": False, "judo": False, "waltz": True}

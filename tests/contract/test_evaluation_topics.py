@@ -25,8 +25,8 @@ from storage_schema import Manifest, SourceCredit, Store
 from tasks import generation, ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
-from tasks.judgements import verdict_of, verdicts_of_parts
 from tasks.stage import Parameters, Shard, Stage, StageInputs
+from tasks.stage.judgements import verdict_of, verdicts_of_parts
 from tests.builders.browser import in_browser
 from tests.builders.pages import Page
 from tests.builders.painted_film import painted, write_keys

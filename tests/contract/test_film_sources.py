@@ -36,7 +36,6 @@ from pasdedeux.skeletons import OP14, PAIR17
 from storage_schema import Store
 from tasks.evaluation import evaluation_stage
 from tasks.evaluation import film as film_topic
-from tasks.facts import TopicFacts
 from tasks.ingest.film import readers as films
 from tasks.ingest.film.detector_files import KNOWN_DETECTORS, fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
@@ -44,10 +43,11 @@ from tasks.ingest.film.readers import open_film, read_film
 from tasks.ingest.film.resolution import CorrectedShot
 from tasks.ingest.film.run import find_videos
 from tasks.ingest.parameters import IngestParameters
-from tasks.judgements import verdict_of
 from tasks.seeds.parameters import SeedsParameters
 from tasks.seeds.plan import check_study
 from tasks.stage import StageInputs
+from tasks.stage.facts import TopicFacts
+from tasks.stage.judgements import verdict_of
 from tests.builders import tiny_networks
 from tests.builders.ingest_runs import planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
@@ -564,7 +564,7 @@ def test_a_detector_at_an_address_comes_by_the_command_only_and_with_its_digest(
         asked.append(url)
         return network
 
-    monkeypatch.setattr("tasks.downloads.download", answer)
+    monkeypatch.setattr("tasks.files.downloads.download", answer)
     monkeypatch.setattr("flows.console.fetch.download", answer)
     with pytest.raises(InputError, match=re.escape(f"bring it with `pasdedeux fetch detector '{stated}'`")):
         found(film, detect=[stated])

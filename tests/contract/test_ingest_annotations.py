@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level
 from storage_schema import Store
-from tasks.facts import SequenceFacts
+from tasks.stage.facts import SequenceFacts
 from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.rigs import SMALL_BVH
 from tests.builders.source_samples import coco_text, csv_text, openpose_text

@@ -20,15 +20,15 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import chains, lifting
-from tasks.annotated_pairs import PairPlace, read_seen_pairs
 from tasks.chains import ChainsParameters
-from tasks.draw_sets import GROWN, read_draw_sets, reference_to
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
-from tasks.facts import SeedFacts
-from tasks.judgements import verdict_of
 from tasks.lifting import LiftingParameters, _baselines, _lifted_from, _spans
+from tasks.rows.annotated_pairs import PairPlace, read_seen_pairs
+from tasks.rows.draw_sets import GROWN, read_draw_sets, reference_to
 from tasks.stage import StageInputs
+from tasks.stage.facts import SeedFacts
+from tasks.stage.judgements import verdict_of
 from tests.builders.drawn_pairs import put_draws
 from tests.builders.sampling_store import QUICK, inputs, pairs_of, run, with_seeds
 from tests.builders.storage_rows import put, random_columns, take_rows
@@ -143,7 +143,7 @@ def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any)
 
 
 def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.lifted_rows._NUM_COMPLETING", 5)
+    monkeypatch.setattr("tasks.rows.lifted_rows._NUM_COMPLETING", 5)
     store, given = grown
     table = store.read(lift(store, given)["one-views"].ref, "lifted_pairs")
     seen, method = np.asarray(table["num_joints_seen"]), np.asarray(table["method"])

@@ -19,9 +19,9 @@ from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import priors, views
-from tasks.judgements import verdict_of
 from tasks.priors import read_limits, read_torso_basis
 from tasks.stage import Shard, StageInputs
+from tasks.stage.judgements import verdict_of
 from tests.builders.poses import dancers, wild
 from tests.builders.storage_rows import MADE_UP, put, take_rows
 

@@ -16,11 +16,11 @@ from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
 from storage_schema import Manifest, Store
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.draw_sets import FILLED, GROWN, read_draw_sets
-from tasks.judgements import verdict_of
+from tasks.rows.draw_sets import FILLED, GROWN, read_draw_sets
+from tasks.rows.selection import select_pairs
 from tasks.seeds.files import pair_of_draw
-from tasks.selection import select_pairs
 from tasks.stage import StageInputs
+from tasks.stage.judgements import verdict_of
 from tasks.summary import summary_of
 from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 

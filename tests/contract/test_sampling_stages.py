@@ -21,11 +21,11 @@ from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks import chains
-from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chains import ChainSegmentParameters, ChainsParameters
 from tasks.chains.run import chain_problem
-from tasks.judgements import verdict_of
+from tasks.rows.annotated_pairs import gather, gather_tracks
 from tasks.stage import StageInputs
+from tasks.stage.judgements import verdict_of
 from tests.builders.sampling_store import (
     QUICK,
     draws_of,

@@ -22,8 +22,8 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
-from tasks.draw_sets import REPAIRED
 from tasks.evaluation.chains import TOPIC as CHAINS
+from tasks.rows.draw_sets import REPAIRED
 from tasks.seeds import SeedsParameters
 from tasks.seeds.files import SeedFile, pair_of_draw
 from tasks.shards import HerePool

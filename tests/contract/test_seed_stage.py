@@ -15,10 +15,10 @@ from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store
 from tasks import priors, seeds
-from tasks.judgements import verdict_of
 from tasks.priors import PriorsParameters
 from tasks.seeds import SeedFrame, SeedsParameters
 from tasks.stage import StageInputs
+from tasks.stage.judgements import verdict_of
 from tests.builders.sampling_store import (
     inputs,
     pairs_of,

@@ -16,7 +16,7 @@ from storage_schema import TABLES, ShardRecord, open_table, record_latest
 from tasks import chains
 from tasks.chains import ChainsParameters
 from tasks.priors import read_limits
-from tasks.selection import select_pairs
+from tasks.rows.selection import select_pairs
 from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 
 __all__ = ["inputs"]  # the fixture

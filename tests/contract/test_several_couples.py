@@ -8,8 +8,8 @@ import numpy as np
 
 from storage_schema import Manifest, Store
 from tasks import lifting, views
-from tasks.annotated_pairs import PLACE_COLUMNS, PairPlace, gather, gather_tracks, place_of
 from tasks.lifting import LiftingParameters
+from tasks.rows.annotated_pairs import PLACE_COLUMNS, PairPlace, gather, gather_tracks, place_of
 from tasks.stage import StageInputs
 from tasks.views import ViewsParameters
 from tests.builders.sampling_store import inputs, put, with_seeds

@@ -15,7 +15,7 @@ import pytest
 
 from flows.exports import export_reference
 from storage_schema import ArtifactRef, Store
-from tasks.facts import TakeFacts
+from tasks.stage.facts import TakeFacts
 from tests.builders.ingest_runs import planned, run
 
 RATE_HZ = 12.5

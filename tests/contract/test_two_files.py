@@ -24,8 +24,8 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate
 from pasdedeux.skeletons.layouts import LAYOUTS
 from storage_schema import Store
+from tasks.files.user_files import read_file
 from tasks.ingest.takes.parameters import TakeParameters
-from tasks.user_files import read_file
 from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.rigs import RIGS
 

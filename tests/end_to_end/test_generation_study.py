@@ -11,7 +11,7 @@ from flows.exports import export_reference
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store
-from tasks.facts import VariantFacts
+from tasks.stage.facts import VariantFacts
 from tasks.training.items import StoredVariants
 from tests.builders.real_study import build_here
 

@@ -15,7 +15,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store, read_latest
-from tasks.facts import TopicFacts
+from tasks.stage.facts import TopicFacts
 from tests.builders.real_study import build_here
 from tests.builders.walkers_on_video import openpose
 

@@ -22,7 +22,7 @@ from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, PAIR17
 from storage_schema import Store
-from tasks.curation import Choosing, read_choices
+from tasks.files.curation import Choosing, read_choices
 from tests.builders.browser import Tab, open_page
 from tests.builders.real_study import BuiltStudy
 from tests.builders.toy_runs import wait_until

@@ -10,7 +10,7 @@ import pytest
 from flows.outcomes import Outcome
 from pasdedeux.errors import InputError
 from storage_schema import Store, open_table, read_latest
-from tasks.judgements import verdict_of
+from tasks.stage.judgements import verdict_of
 from tests.builders.ingest_runs import planned, write_figure_pair
 from tests.builders.real_study import graph
 from tests.builders.source_samples import csv_text

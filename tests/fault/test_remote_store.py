@@ -45,7 +45,7 @@ from storage_schema import (
 from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.bucket_store import BucketStore, open_bucket
 from storage_schema.errors import NamedByDataset
-from tasks.curation import Choosing
+from tasks.files.curation import Choosing
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
 from tests.builders.storage_rows import commit_rows, put, random_columns

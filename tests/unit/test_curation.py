@@ -21,7 +21,8 @@ from storage_schema import ShardRecord, Store, open_table, parse_reference, reco
 from tasks.augmentation import AugmentationParameters
 from tasks.augmentation import plan as plan_variants
 from tasks.augmentation import run_shard as solve
-from tasks.curation import (
+from tasks.data import LOOK, Data
+from tasks.files.curation import (
     Choice,
     Choosing,
     as_settings,
@@ -31,7 +32,6 @@ from tasks.curation import (
     rejections,
     write_choices,
 )
-from tasks.data import LOOK, Data
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training.items import StoredVariants

@@ -14,10 +14,10 @@ from pasdedeux.completion.errors import HIDDEN, completion_errors, in_between_er
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
-from tasks.annotated_pairs import PairPlace
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.lifting import calibration_scores
 from tasks.evaluation.lifting_pictures import expected_figure, lifted_player, rows_figure
+from tasks.rows.annotated_pairs import PairPlace
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 

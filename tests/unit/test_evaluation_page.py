@@ -12,9 +12,9 @@ from pasdedeux.evaluation.verdicts import merge_verdicts
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Store
 from tasks.evaluation import STAGE
-from tasks.facts import ModelFacts, VariantFacts
-from tasks.judgements import VERDICT_FACT
 from tasks.stage import StageInputs
+from tasks.stage.facts import ModelFacts, VariantFacts
+from tasks.stage.judgements import VERDICT_FACT
 from tasks.summary import summary_of
 from tests.builders.pages import Page
 from tests.builders.storage_rows import put, random_columns

@@ -25,7 +25,7 @@ from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import TABLES, ArtifactRef, Store, TableData, open_table
 from storage_schema.encoding import encode
 from tasks.ingest import STAGE, IngestParameters
-from tasks.products import product_rows
+from tasks.rows.products import product_rows
 from tasks.stage import StageInputs
 from tests.builders.own_sources import first_frames, write_walk
 from tests.builders.source_samples import bvh_text

@@ -23,7 +23,7 @@ from flows.console.context import Context
 from flows.console.fetch import Fetched, FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
-from tasks.downloads import PublicRedirects, download, is_public_ip
+from tasks.files.downloads import PublicRedirects, download, is_public_ip
 from tasks.ingest.takes.known_sources import was_fetched
 from tests.builders.real_study import build_here, call_in_process
 from tests.builders.source_samples import AMC, ASF
@@ -46,7 +46,7 @@ class Site:
 
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.downloads._FIRST_WAIT_S", 0.0)
+    monkeypatch.setattr("tasks.files.downloads._FIRST_WAIT_S", 0.0)
 
 
 @pytest.fixture

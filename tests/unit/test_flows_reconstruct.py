@@ -36,9 +36,9 @@ from storage_schema import Store
 from storage_schema.errors import SchemaError
 from tasks import ingest
 from tasks import reconstruction as reconstruction_stage
-from tasks.judgements import PARTS_FACT
 from tasks.projections import read_database
 from tasks.stage import StageInputs
+from tasks.stage.judgements import PARTS_FACT
 from tests.builders.ingest_runs import judged
 from tests.builders.pages import Page
 from tests.builders.walkers import reconstruction, walk

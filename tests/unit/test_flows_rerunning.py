@@ -15,9 +15,9 @@ from flows.console.app import run_command_line
 from flows.differences import compare
 from flows.recorded import Recorded, artifacts_by_place, portable_files, read_recorded
 from storage_schema import ArtifactRef, Store, list_runs, read_latest
-from tasks.committing import commit
 from tasks.graph import Graph
 from tasks.stage import Shard, StageInputs
+from tasks.stage.committing import commit
 from tests.builders import toys
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS

@@ -16,7 +16,7 @@ from pasdedeux.evaluation.verdicts import FEWEST_BLOCKS
 from tasks.graph import Graph, load_graph
 from tasks.ingest import IngestParameters
 from tasks.stage import Parameters, Stage
-from tasks.sweep import merged
+from tasks.stage.sweep import merged
 from tests.builders.toys import TOYS, plan_aside, run_aside
 
 

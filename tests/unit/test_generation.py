@@ -24,8 +24,8 @@ from tasks.generation import STAGE, GenerationParameters, check_study
 from tasks.graph import load_graph
 from tasks.ingest import STAGE as INGEST
 from tasks.ingest import IngestParameters
+from tasks.rows.takes import read_take
 from tasks.stage import StageInputs
-from tasks.takes import read_take
 from tasks.training.parameters import TrainingParameters
 from tests.builders.stored_models import put_model
 

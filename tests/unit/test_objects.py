@@ -25,12 +25,12 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
-from tasks.contacts import ContactRows
-from tasks.facts import TakeFacts
 from tasks.ingest import STAGE, IngestParameters
-from tasks.judgements import verdict_of
+from tasks.rows.contacts import ContactRows
+from tasks.rows.takes import read_take
 from tasks.stage import StageInputs
-from tasks.takes import read_take
+from tasks.stage.facts import TakeFacts
+from tasks.stage.judgements import verdict_of
 from tests.builders.moving_pairs import swaying_pair, swaying_people
 
 FRAMES = 16

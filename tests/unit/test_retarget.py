@@ -26,8 +26,8 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import Store, resolve
 from tasks.data import LOOK
 from tasks.ingest import STAGE, IngestParameters
+from tasks.rows.takes import read_take
 from tasks.stage import StageInputs
-from tasks.takes import read_take
 from tests.builders.own_sources import write_walk
 from tests.builders.pages import Page
 from tests.builders.source_samples import bvh_text, figure_motion

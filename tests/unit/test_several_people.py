@@ -16,8 +16,8 @@ from pasdedeux.formats.trc import TRC, read_points, write_trc
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store
 from tasks.ingest import STAGE, IngestParameters
-from tasks.judgements import verdict_of
 from tasks.stage import StageInputs
+from tasks.stage.judgements import verdict_of
 from tests.builders.bvh_rigs import Node, body_nodes, bvh_of
 from tests.builders.source_samples import c3d_points, figure_motion, trc_text
 

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from tasks.sides import Side, take_sides
+from tasks.rows.sides import Side, take_sides
 
 
 @pytest.mark.parametrize(

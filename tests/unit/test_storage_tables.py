@@ -12,7 +12,7 @@ from storage_schema.arrow import arrow_schema, schema_digest
 from storage_schema.columns import Table, array, integer, text
 from storage_schema.dictionary import DICTIONARY_PATH, data_dictionary
 from storage_schema.joints import JOINT_NAMES
-from tasks.figures import COLUMNS_PATH, figure_columns
+from tasks.rows.figures import COLUMNS_PATH, figure_columns
 
 
 def test_joint_names_are_those_of_the_working_skeletons() -> None:
@@ -24,7 +24,7 @@ def test_the_data_dictionary_is_up_to_date() -> None:
 
 
 def test_the_columns_of_figures_are_those_that_the_science_declares() -> None:
-    assert COLUMNS_PATH.read_text(encoding="utf-8") == figure_columns(), "run python -m tasks.figures"
+    assert COLUMNS_PATH.read_text(encoding="utf-8") == figure_columns(), "run python -m tasks.rows.figures"
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: table.name)

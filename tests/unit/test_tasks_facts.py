@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
 from storage_schema import Manifest, Store
-from tasks import facts
-from tasks.facts import Facts, ModelFacts, SeedFacts, SequenceFacts, TakeFacts, facts_of
+from tasks.stage import facts
+from tasks.stage.facts import Facts, ModelFacts, SeedFacts, SequenceFacts, TakeFacts, facts_of
 from tests.builders.storage_rows import put
 
 TAKE: dict[str, Any] = {"kind": "take", "take_id": "waltz", "takes": ["waltz"], "num_persons": 2, "rate_hz": 30.0}

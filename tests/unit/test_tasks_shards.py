@@ -31,11 +31,11 @@ from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from storage_schema.durable import cache_folder
 from storage_schema.provenance import package_versions
-from tasks import lifting, reconstruction, selection
+from tasks import lifting, reconstruction
 from tasks.chains import run as chains_run
 from tasks.evaluation import coverage
 from tasks.ingest.film.detector_files import NetworkAddress
-from tasks.kept import kept
+from tasks.rows import selection
 from tasks.shards import (
     ClusterError,
     ClusterPool,
@@ -52,6 +52,7 @@ from tasks.shards import (
 from tasks.shards.profiles import ClusterProfile, cluster_class, read_profile, started
 from tasks.shards.running import _scheduler_is_there
 from tasks.stage import Shard, StageInputs
+from tasks.stage.kept import kept
 from tests.builders.toy_runs import ROOT
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 

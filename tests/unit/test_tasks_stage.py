@@ -9,7 +9,7 @@ import numpy as np
 
 from storage_schema import ArtifactRef
 from tasks.stage import Parameters, Shard, SourceFile
-from tasks.streams import stream
+from tasks.stage.streams import stream
 
 
 class Named(Parameters):

@@ -11,7 +11,7 @@ import pytest
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from tasks.evaluation.ground_truth import GroundTruth
-from tasks.takes import read_motion
+from tasks.rows.takes import read_motion
 from tests.builders.storage_rows import put, take_rows
 
 FRAMES, PEOPLE = 5, 3

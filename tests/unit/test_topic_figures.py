@@ -27,8 +27,8 @@ from tasks.evaluation.coverage import curve_points
 from tasks.evaluation.generation import distribution_scores
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.realism import _Clips, _compare
+from tasks.rows.takes import read_take
 from tasks.stage import StageInputs
-from tasks.takes import read_take
 from tests.builders.drawn_stores import Drawn, drawn_store
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
 from tests.builders.storage_rows import put, random_columns, take_rows

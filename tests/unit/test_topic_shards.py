@@ -25,13 +25,13 @@ from pasdedeux.reconstruction.unseen_views import CONDITIONS, UnseenMotion
 from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
-from tasks.annotated_pairs import read_seen_pairs
-from tasks.draw_sets import read_draw_sets
 from tasks.evaluation import chains, coverage, detector, lifting, unseen_views, views
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.rows.annotated_pairs import read_seen_pairs
+from tasks.rows.draw_sets import read_draw_sets
 from tasks.stage import StageInputs
-from tasks.streams import stream
+from tasks.stage.streams import stream
 from tests.builders.drawn_pairs import put_draws, put_seeds
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, put_lifted, put_truth
 from tests.builders.sampling_store import NUM_FRAMES, pairs_of, put_annotations, put_take

@@ -17,13 +17,13 @@ import pytest
 from flows.console.app import run_command_line
 from flows.console.live import _read as read_live_frame
 from pasdedeux.errors import InputError
-from tasks.curation import choices_in
+from tasks.files.curation import choices_in
+from tasks.files.user_files import digest_of, exported_unit_m, read_file, read_text_file
 from tasks.ingest.files import load_file
 from tasks.ingest.film.readers import open_film
 from tasks.ingest.poses2d.readers import open_capture
 from tasks.ingest.takes.known_sources import was_fetched
 from tasks.shards.profiles import read_profile
-from tasks.user_files import digest_of, exported_unit_m, read_file, read_text_file
 
 ROOT = Path(__file__).parents[2]
 KINDS = {"folder": "a folder", "pipe": "a pipe", "socket": "a socket", "device": "a device", "link": "a device"}
@@ -139,7 +139,7 @@ def test_a_file_is_digested_once_while_it_stays_as_it_is(tmp_path: Path, monkeyp
         path.write_bytes(b"six")
         assert digest_of(path) == hashlib.sha256(b"six").hexdigest()
     old.write_bytes(b"old")
-    monkeypatch.setattr("tasks.user_files._SETTLED_NS", -(10**18))
+    monkeypatch.setattr("tasks.files.user_files._SETTLED_NS", -(10**18))
     assert digest_of(old) == digest_of(old, b"old")
     monkeypatch.setattr(hashlib, "file_digest", None)
     monkeypatch.setattr(hashlib, "sha256", None)

@@ -16,9 +16,9 @@ from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import Criterion, Items, figure_words, merge_verdicts
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
-from tasks.committing import commit
-from tasks.facts import Facts
 from tasks.stage import Parameters, Shard
+from tasks.stage.committing import commit
+from tasks.stage.facts import Facts
 from tasks.summary import judge, stage_verdict, summary_of
 
 BASELINES = ("lifting", "chance", "mean_pair", "real_frames")

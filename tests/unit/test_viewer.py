@@ -44,13 +44,13 @@ from pasdedeux.plausibility.capsules import standing_m
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Manifest, Store, new_run
-from tasks.curation import Choosing
-from tasks.facts import SequenceFacts
+from tasks.files.curation import Choosing
+from tasks.files.user_files import digest_of
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import FilmFrame, open_film, read_film
 from tasks.ingest.film.run import find_videos
 from tasks.stage import SourceFile
-from tasks.user_files import digest_of
+from tasks.stage.facts import SequenceFacts
 from tests.builders.ingest_runs import duet_store, planned, run
 from tests.builders.moving_pairs import swaying_pair
 from tests.builders.mp4_boxes import with_durations

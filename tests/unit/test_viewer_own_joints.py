@@ -18,7 +18,7 @@ from flows.viewing.shelf import Shelf
 from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh_joints
-from tasks.curation import Choosing
+from tasks.files.curation import Choosing
 from tests.builders.bvh_rigs import body_nodes, bvh_of, world_of_file
 from tests.builders.source_samples import bvh_text
 

@@ -21,8 +21,8 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
-from tasks.annotated_pairs import read_seen_pairs
 from tasks.lifting import lift_again
+from tasks.rows.annotated_pairs import read_seen_pairs
 from tests.builders.drawn_pairs import put_draws, put_seeds
 from tests.builders.sampling_store import pairs_of, put_annotations, put_take
 from tests.builders.toy_runs import wait_until

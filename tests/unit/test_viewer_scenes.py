@@ -20,7 +20,7 @@ from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import Manifest, Store
-from tasks.curation import Choosing
+from tasks.files.curation import Choosing
 from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
 from tests.builders.storage_rows import put, random_columns
 from tests.builders.walkers import random_poses

@@ -26,7 +26,7 @@ from pasdedeux.learning.normalising import Normaliser
 from pasdedeux.learning.shuffling import WindowOrder
 from storage_schema import TABLES, CorruptArtifact, Store, open_table
 from tasks.data import Data
-from tasks.unpacking import unpack_artifacts
+from tasks.rows.unpacking import unpack_artifacts
 from tasks.windows import FIELDS, PairDataset, PairStream
 from tests.builders.drawn_stores import Drawn, drawn_store
 from tests.builders.storage_rows import put
@@ -296,7 +296,7 @@ def test_a_cut_file_of_the_cache_is_said(store: Store) -> None:
 
 _READ = """
 import resource, sys
-from tasks.unpacking import unpack_artifacts
+from tasks.rows.unpacking import unpack_artifacts
 from tasks.windows import PairDataset, PairStream
 windows = PairDataset("variants:drawn", 30, store=sys.argv[1])
 stream = PairStream(windows, 64)

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from pasdedeux.errors import InputError
 from storage_schema.durable import cache_folder
-from tasks.downloads import check_host
+from tasks.files.downloads import check_host
+from tasks.files.user_files import digest_of
 from tasks.stage import SourceFile
-from tasks.user_files import digest_of
 
 _ADDRESS = re.compile(r"(https://[^#\s]+)#sha256=([0-9a-f]{64})")
 

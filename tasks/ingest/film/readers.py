@@ -16,10 +16,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.film.shots import ShotFinder, constant_rate_hz
 from pasdedeux.formats.poses2d.image_names import STILLS_STEP, places_of_names
 from pasdedeux.plain_text import counted
+from tasks.files.user_files import open_file
 from tasks.ingest.files import find_file
 from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES, VIDEO_SUFFIXES, open_capture, stated_rate_hz
 from tasks.stage import SourceFile
-from tasks.user_files import open_file
 
 Image = npt.NDArray[np.uint8]
 

@@ -13,8 +13,8 @@ from pasdedeux.errors import InputError, named
 from pasdedeux.formats.poses2d.detections import Footage
 from pasdedeux.formats.poses2d.image_names import number_in_name, places_of_names
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
+from tasks.files.user_files import open_file
 from tasks.ingest.files import read_start
-from tasks.user_files import open_file
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})

@@ -16,13 +16,13 @@ from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.camera_motions import motion_table
-from tasks.committing import commit
-from tasks.facts import CoupleFact, SequenceFacts
+from tasks.files.user_files import digest_of
 from tasks.ingest.poses2d.parameters import AnnotationParameters
 from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, MAX_NAMED_FILES, FoundAnnotations
+from tasks.rows.camera_motions import motion_table
 from tasks.stage import Shard
-from tasks.user_files import digest_of
+from tasks.stage.committing import commit
+from tasks.stage.facts import CoupleFact, SequenceFacts
 
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
 """Share of seen joints below which a source gets a warning, and below which it fails."""

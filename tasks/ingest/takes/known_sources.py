@@ -9,7 +9,7 @@ from pathlib import Path
 from pasdedeux.errors import InputError
 from pasdedeux.formats.rigs.resolution import KnownSource
 from storage_schema import SourceCredit
-from tasks.user_files import read_text_file
+from tasks.files.user_files import read_text_file
 
 CMU_CREDIT = SourceCredit(
     name="CMU Graphics Lab Motion Capture Database",

@@ -20,7 +20,7 @@ from pasdedeux.plausibility.capture import JUDGED
 from storage_schema import SourceCredit
 from tasks.ingest.common import ID, one_of
 from tasks.stage import Parameters
-from tasks.streams import stream
+from tasks.stage.streams import stream
 
 BUILT_IN_DUETS = tuple(DUETS)
 MappingTable = dict[str, str | dict[str, float]]

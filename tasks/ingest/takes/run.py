@@ -30,11 +30,11 @@ from pasdedeux.projections.sources import resample_positions
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, resolve_layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.committing import commit
-from tasks.facts import TakeFacts
 from tasks.ingest.files import read_again
 from tasks.ingest.takes.parameters import DuetParameters, PersonParameters, TakeParameters
 from tasks.stage import Shard
+from tasks.stage.committing import commit
+from tasks.stage.facts import TakeFacts
 
 AWAY_M = 1.0
 """Distance of joints from an object within which it may be touched."""

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from tasks.facts import Purpose
 from tasks.stage import Parameters
+from tasks.stage.facts import Purpose
 
 UNIFORM_PITCH_DEG = 1e9
 """Deviations of the pitch from this one on mean uniform, because JSON has no infinity."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tasks.facts import Purpose
 from tasks.ingest.common import INGEST
 from tasks.ingest.parameters import IngestParameters
 from tasks.ingest.takes.parameters import DuetParameters, TakeParameters, num_people_of
 from tasks.ingest.virtual_video.parameters import UNIFORM_PITCH_DEG, VideoParameters, VirtualCameras
 from tasks.stage import Shard, StageInputs
+from tasks.stage.facts import Purpose
 
 
 def plan_virtual_video(inputs: StageInputs, parameters: IngestParameters, take: Shard) -> Iterator[Shard]:

@@ -25,12 +25,12 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.committing import commit, followed, join_columns
-from tasks.facts import DetectedSequence, SequenceFacts, TakeFacts
 from tasks.ingest.virtual_video.parameters import UNIFORM_PITCH_DEG, VideoParameters
+from tasks.rows.takes import read_motion
 from tasks.stage import Shard
-from tasks.streams import stream
-from tasks.takes import read_motion
+from tasks.stage.committing import commit, followed, join_columns
+from tasks.stage.facts import DetectedSequence, SequenceFacts, TakeFacts
+from tasks.stage.streams import stream
 
 NEIGHBOURS = 2
 """Frames kept on either side of a randomly viewed pair, for velocity only (Yin et al. 2018, section 6)."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from pasdedeux.sampling.densities import DENSITIES
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.facts import DrawFacts, SeedFacts
 from tasks.stage import StageInputs
+from tasks.stage.facts import DrawFacts, SeedFacts
 
 GROWN, FILLED = "grown_seeds", "filled_seeds"
 """Names of grown pairs, and of pairs filled in between, among those of the densities."""

@@ -15,11 +15,11 @@ from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import MIN_LOG_PRIOR, PairSelector
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.draw_sets import density_of, is_chain, is_set, knows_annotations, reference_to
-from tasks.facts import DrawFacts
-from tasks.judgements import verdict_of
-from tasks.kept import kept
 from tasks.priors import read_limits
+from tasks.rows.draw_sets import density_of, is_chain, is_set, knows_annotations, reference_to
+from tasks.stage.facts import DrawFacts
+from tasks.stage.judgements import verdict_of
+from tasks.stage.kept import kept
 
 READS = ("draws", "seeds", "chain_info", "joint_limits")
 """Tables of a study that pairs are selected by; the last one may be missing."""

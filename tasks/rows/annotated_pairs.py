@@ -15,8 +15,8 @@ from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import COUNTED17, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
-from tasks.facts import SequenceFacts
 from tasks.stage import Shard, StageInputs
+from tasks.stage.facts import SequenceFacts
 
 
 class PairPlace(NamedTuple):

@@ -29,11 +29,11 @@ from pasdedeux.people.names import partners_of, take_name
 from pasdedeux.plausibility.capture import check_capture, judge_capture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
+from tasks.files.user_files import exported_unit_m, read_file
 from tasks.ingest import IngestParameters, plan
 from tasks.ingest.files import read_start
 from tasks.ingest.takes.run import NO_LIMIT, CapturedTake, capture_take
 from tasks.stage import StageInputs
-from tasks.user_files import exported_unit_m, read_file
 
 SUFFIXES = tuple(dict.fromkeys(suffix for kind in MOTION_FORMATS.values() for suffix in kind.suffixes))
 """Endings of the files of a folder that are looked at."""

@@ -14,8 +14,8 @@ from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair, in_depth_order
 from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.reconstruction.annotated import as_pair17
-from tasks.annotated_pairs import PLACE_COLUMNS, PairPlace, SeenPair
-from tasks.draw_sets import DrawSet
+from tasks.rows.annotated_pairs import PLACE_COLUMNS, PairPlace, SeenPair
+from tasks.rows.draw_sets import DrawSet
 
 Row = dict[str, Any]
 EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")

@@ -33,7 +33,7 @@ from storage_schema import (
 )
 from storage_schema.datasets import open_dataset
 from storage_schema.runs import STUDY_FILE
-from tasks.user_files import read_text_file
+from tasks.files.user_files import read_text_file
 
 Decision = Literal["accept", "reject"]
 DECISIONS: tuple[Decision, ...] = ("accept", "reject")

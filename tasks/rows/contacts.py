@@ -18,8 +18,8 @@ from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store
 from tasks.augmentation import batch_of
-from tasks.facts import TakeFacts
-from tasks.takes import read_objects, take_of
+from tasks.rows.takes import read_objects, take_of
+from tasks.stage.facts import TakeFacts
 
 if TYPE_CHECKING:
     import pandas as pd

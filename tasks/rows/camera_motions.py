@@ -9,7 +9,7 @@ import numpy as np
 
 from pasdedeux.formats.poses2d.camera_motion import CameraMotion
 from storage_schema import ArtifactRef, Store
-from tasks.committing import join_columns
+from tasks.stage.committing import join_columns
 
 
 def motion_table(motions: Mapping[str, CameraMotion]) -> dict[str, dict[str, Any]]:

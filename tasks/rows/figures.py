@@ -1,4 +1,4 @@
-"""Figures that are columns of tables; `python -m tasks.figures` writes them to the file that the tables read.
+"""Figures that are columns of tables; `python -m tasks.rows.figures` writes them to the file that the tables read.
 
 The science declares figures and knows no tables; data on disk can be read without the science.
 """

@@ -20,9 +20,9 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Manifest, Store, canonical_json
 from storage_schema.parquet_files import groups_with
 from storage_schema.unpacked import CONTACT, ClipWriter, UnpackedClips, unpacked
-from tasks.contacts import find_contact_rows
-from tasks.facts import TakeFacts
-from tasks.takes import read_take, take_of
+from tasks.rows.contacts import find_contact_rows
+from tasks.rows.takes import read_take, take_of
+from tasks.stage.facts import TakeFacts
 from tasks.training.items import interaction_of
 
 J = BODY22.num_joints

@@ -10,9 +10,9 @@ from pasdedeux.evaluation.motion_players import reconstruction_player
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.pictures import PLAYER, Picture
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.curation import without
-from tasks.products import product_rows
-from tasks.takes import by_frame_and_person, rate_of
+from tasks.files.curation import without
+from tasks.rows.products import product_rows
+from tasks.rows.takes import by_frame_and_person, rate_of
 
 
 class ShownMotion(NamedTuple):
@@ -40,7 +40,7 @@ def read_motion_rows(store: Store, motions: ArtifactRef) -> TableData:
 
 
 def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[str] = ()) -> ShownMotion | None:
-    """Return the product of a sequence without what is left out (`tasks.curation`); None if nothing remains."""
+    """Return the product of a sequence without what is left out (`tasks.files.curation`); None if nothing remains."""
     table = without(read_motion_rows(store, motions), left_out)
     table = TableData(table.table, table.rows.take(product_rows(table)))
     if not table.num_rows:

@@ -10,9 +10,9 @@ from pasdedeux.reconstruction.annotated import MIN_FRAMES, lift_over_time
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PairPlace
-from tasks.facts import SequenceFacts
 from tasks.reconstruction import read_tracks
+from tasks.rows.annotated_pairs import PairPlace
+from tasks.stage.facts import SequenceFacts
 
 NUM_OVER_TIME = 60
 """Number of annotated frames of a video, evenly spread, that help to estimate the camera's place and people's sizes."""

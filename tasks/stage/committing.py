@@ -12,9 +12,9 @@ import numpy as np
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store
-from tasks.facts import Facts
-from tasks.judgements import PARTS_FACT, VERDICT_FACT
 from tasks.stage import Shard
+from tasks.stage.facts import Facts
+from tasks.stage.judgements import PARTS_FACT, VERDICT_FACT
 
 
 def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:

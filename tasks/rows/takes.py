@@ -12,8 +12,8 @@ from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.plain_text import counted
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.ancestry import inputs_with
-from tasks.facts import TakeFacts, VariantFacts
 from tasks.stage import StageInputs
+from tasks.stage.facts import TakeFacts, VariantFacts
 
 
 @dataclass(frozen=True)

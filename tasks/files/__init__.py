@@ -1,0 +1,1 @@
+"""Files of users: opened, downloaded, and choices written in them."""

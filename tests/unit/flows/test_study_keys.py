@@ -17,7 +17,7 @@ from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
 
 KEYS = {key.name: key for key in study_keys(load_graph())}
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_every_key_says_what_it_means() -> None:

@@ -25,7 +25,7 @@ from tasks.ingest.poses2d.readers import open_capture
 from tasks.ingest.takes.known_sources import was_fetched
 from tasks.shards.profiles import read_profile
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 KINDS = {"folder": "a folder", "pipe": "a pipe", "socket": "a socket", "device": "a device", "link": "a device"}
 READERS: dict[str, Callable[[Path], object]] = {
     "read_file": read_file,

@@ -62,7 +62,7 @@ def test_runs_that_record_at_the_same_time_lose_nothing(store: Store) -> None:
         "    shard = ShardRecord('p', 'n', '0' * 64, '0' * 64, 1, 0, {})\n"
         "    record_latest(Store(sys.argv[1]), 'duets', 'run', {f'stage_{sys.argv[2]}_{i}': [shard]})\n"
     )
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     command = [sys.executable, "-c", script, str(store.root)]
     children = [subprocess.Popen([*command, str(number)], cwd=root) for number in range(3)]
     assert [child.wait(timeout=60) for child in children] == [0, 0, 0]

@@ -12,7 +12,7 @@ from flows.console.show import joint_lines
 from pasdedeux.augmentation.variations import persons_of
 from pasdedeux.people.names import person_index, person_name, person_names
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 OWNER = "pasdedeux/people/names.py"
 
 

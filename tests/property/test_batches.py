@@ -61,8 +61,7 @@ def _mapped(pairs_m: Array) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("compute", "shape"),
-    [(_solved, (3, 88, 3)), (_lifted, (6, 2)), (_aligned, (2, 17, 3)), (_mapped, (2, 17, 3))],
+    ("compute", "shape"), [(_solved, (3, 88, 3)), (_lifted, (6, 2)), (_aligned, (2, 17, 3)), (_mapped, (2, 17, 3))]
 )
 def test_an_item_is_the_same_to_the_last_bit_in_any_batch(
     compute: Callable[[Array], Array], shape: tuple[int, ...]

@@ -20,11 +20,7 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.rendered_film import Bodies, Film, duet_bodies, hand_held, render, rows_of
 
 COUNT = 31
-MOVES = {
-    "shaken": {"shake_px": 40.0},
-    "panned": {"pan_rad": 0.3},
-    "zoomed": {"zoom": 1.3},
-}
+MOVES = {"shaken": {"shake_px": 40.0}, "panned": {"pan_rad": 0.3}, "zoomed": {"zoom": 1.3}}
 
 
 @pytest.fixture(scope="module")

@@ -103,12 +103,7 @@ def test_annotation_noise_and_occlusion_have_the_stated_size() -> None:
 def test_a_camera_is_located_by_the_points_that_it_sees() -> None:
     rng = np.random.default_rng(5)
     camera = look_at_camera(
-        np.array([0.2, 1.0, -0.3]),
-        distance_m=4.0,
-        yaw_rad=0.8,
-        pitch_rad=0.3,
-        focal_px=700.0,
-        image_size_px=(640, 480),
+        np.array([0.2, 1.0, -0.3]), distance_m=4.0, yaw_rad=0.8, pitch_rad=0.3, focal_px=700.0, image_size_px=(640, 480)
     )
     points = rng.normal([0.2, 1.0, -0.3], 0.6, (60, 3))
     px = camera.project(points).px

@@ -11,13 +11,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pasdedeux.errors import InputError
-from pasdedeux.film.annotating import (
-    AnnotatedShot,
-    annotate_shot,
-    correct_keypoint,
-    frames_to_correct,
-    with_identities,
-)
+from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, correct_keypoint, frames_to_correct, with_identities
 from pasdedeux.film.drawing import contact_sheet, draw_people
 from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
 from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames

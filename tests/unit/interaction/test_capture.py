@@ -240,11 +240,7 @@ RARELY = (np.arange(120) % 12 == 0)[:, None]
             lambda _: [still(), np.add(still(frames=range(60), by=(0.0, 2.0, 0.0)), [0.0, 2.0, 0.0])],
             ABOVE_M,
         ),
-        (
-            "body_difference_m",
-            lambda _: [still(), still(frames=range(120), joint="head", by=LONGER_M)],
-            0.05,
-        ),
+        ("body_difference_m", lambda _: [still(), still(frames=range(120), joint="head", by=LONGER_M)], 0.05),
         ("stature_m", lambda _: [grown(1.83)], 1.83),
         ("trunk_m", lambda _: [grown(1.8), grown(1.8) + np.where(RARELY, 0.3, 0.5)[..., None] * [1.0, 0.0, 0.0]], 0.3),
         ("distance_m", lambda _: beside(np.where(RARELY, 0.04, 0.3)), 0.04),

@@ -41,13 +41,7 @@ def test_who_ends_and_goes_on_where_and_as_large_as_before_is_clearly_one_person
     assert breaks(*walking) == [(0, 1, True)]
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        rows(45, 90, 2, x_px=150.0),
-        rows(45, 90, 2, size=1.3),
-    ],
-)
+@pytest.mark.parametrize("other", [rows(45, 90, 2, x_px=150.0), rows(45, 90, 2, size=1.3)])
 def test_who_begins_a_little_off_or_larger_is_asked_about(other: dict) -> None:
     assert breaks(rows(0, 40, 0), other) == [(0, 2, False)]
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.ingest.poses2d.parameters import AnnotationOptions
 from tasks.ingest.poses2d.resolution import FoundAnnotations, find_annotations
 from tests.builders.source_samples import (
@@ -82,16 +81,6 @@ def test_a_folder_of_yolos_text_files_is_a_camera_for_each_beginning_of_their_na
         ("clip.cam2", "yolo"),
     ]
     assert [sorted(set(one.read().frame.tolist())) for one in found] == [list(range(6))] * 2
-
-
-def test_names_of_joints_that_no_layout_has_are_said(tmp_path: Path) -> None:
-    content = json.loads(coco_text(num_frames=3, people=1))
-    for one in content["annotations"]:
-        one |= {"keypoints": [*one["keypoints"], 5.0, 5.0, 2], "category_id": 1}
-    content["categories"] = [{"id": 1, "keypoints": [*KEYPOINT_LAYOUTS["coco17"].keypoint_names, "hat"]}]
-    (tmp_path / "c.json").write_text(json.dumps(content))
-    (found,) = found_in(tmp_path / "c.json")
-    assert found.in_words().endswith("joints left out that 'coco17' lacks: 'hat'")
 
 
 def test_folders_of_a_folder_are_cameras_as_pose2sim_writes_them(tmp_path: Path) -> None:
@@ -181,20 +170,6 @@ def test_a_video_and_images_are_answered_with_what_to_run_first(tmp_path: Path, 
         path.unlink()
         with pytest.raises(InputError, match=rf"film .*{re.escape(path.name)} does not exist$"):
             found_in(path)
-
-
-def test_an_empty_file_and_one_without_anybody_are_named(tmp_path: Path) -> None:
-    for name, text, says in (("none.json", "[]", "nobody"), ("empty.json", "", "this file is empty")):
-        (tmp_path / name).write_text(text)
-        with pytest.raises(InputError, match=f"annotations clip: {name}: .*{says}"):
-            found_in(tmp_path / name)
-    frame = json.dumps({"version": 1.3, "people": []})
-    folder = tmp_path / "nobody"
-    folder.mkdir()
-    for number in range(3):
-        (folder / f"{number}.json").write_text(frame)
-    with pytest.raises(InputError, match="nobody was detected in any frame"):
-        found_in(folder)
 
 
 def test_a_cut_off_last_file_costs_its_frame_and_is_said(tmp_path: Path) -> None:

@@ -121,11 +121,6 @@ def test_an_amc_without_a_header_is_read_in_the_angles_of_its_skeleton(unit: str
     )
 
 
-def test_an_amc_file_states_no_rate() -> None:
-    assert read_amc(AMC, read_asf(ASF)).rate_hz is None
-    assert read_amc(AMC, read_asf(ASF)).num_frames == 2
-
-
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
@@ -113,20 +112,6 @@ def test_a_rate_that_misses_a_whole_one_by_its_last_digits_is_that_one(stated: f
     assert plain_rate(1 / 0.0333330) == 30
 
 
-def test_windows_line_ends_byte_order_marks_and_braces_on_one_line_are_read() -> None:
-    text = BVH_SMALL.replace("JOINT Spine\n\t{", "JOINT Spine {").replace("\n", "\r\n")
-    again = read_bvh(b"\xef\xbb\xbf" + text.encode())
-    np.testing.assert_array_equal(again.local_unitquat, read_bvh(BVH_SMALL).local_unitquat)
-
-
-def test_position_channels_of_a_joint_replace_its_offset() -> None:
-    text = BVH_SMALL.replace("CHANNELS 1 Xrotation", "CHANNELS 4 Xposition Yposition Zposition Xrotation")
-    head, _, rows = text.partition("Frame Time: 0.008333\n")
-    rows = "\n".join(" ".join([*row.split()[:9], "4 0 1", row.split()[9]]) for row in rows.strip().split("\n"))
-    motion = read_bvh(f"{head}Frame Time: 0.008333\n{rows}\n")
-    np.testing.assert_allclose(motion.rest_offsets[motion.skeleton.index("LeftUpLeg")], (4, 0, 1))
-
-
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
@@ -136,11 +121,7 @@ def test_position_channels_of_a_joint_replace_its_offset() -> None:
         ("1.5 2.0 3.0 90", "1.5 nan 3.0 90", "line 29: Yposition of 'Hips' in frame 1: 'nan' is not a finite number"),
         ("30 40 50 60 70", "30 40 5O 60 70", "line 30: Xrotation of 'Spine' in frame 2: '5O' is not a number"),
         ("30 40 50 60 70", "30 40 5.0.0 60 70", "line 30: Xrotation of 'Spine' in frame 2: '5.0.0' is not a number"),
-        (
-            "30 40 50 60 70",
-            "30 40 1e200 60 70",
-            "Xrotation of 'Spine' in frame 2 is 1e\\+200; allowed: -10000000 to",
-        ),
+        ("30 40 50 60 70", "30 40 1e200 60 70", "Xrotation of 'Spine' in frame 2 is 1e\\+200; allowed: -10000000 to"),
         ("Frame Time: 0.008333", "Frame Time: 0", "line 27: the frame time in seconds is 0; allowed: 1e-05 to 10"),
         ("CHANNELS 1 Xrotation", "CHANNELS 1 Wrotation", "line 18: channel 'Wrotation' of 'LeftUpLeg' is not known"),
         (
@@ -166,12 +147,6 @@ def test_the_quick_check_finds_what_is_no_finite_number(token: str) -> None:
     assert read_bvh_head(BVH_SMALL.replace("30 40 50 60 70", "30 4e1 50 60 70")).num_frames == 3
     with pytest.raises(FormatError, match="line 30: Xrotation of 'Spine'"):
         read_bvh_head(BVH_SMALL.replace("30 40 50 60 70", f"30 40 {token} 60 70"))
-
-
-@pytest.mark.parametrize("data", [b"", b"  \n ", b"\0\0\0", b"PK\x03\x04\0"])
-def test_empty_and_binary_files_are_refused(data: bytes) -> None:
-    with pytest.raises(FormatError):
-        read_bvh(data)
 
 
 def test_a_file_cut_anywhere_is_refused_or_lacks_whole_frames_and_says_so() -> None:
@@ -218,7 +193,6 @@ def test_reading_is_the_inverse_of_writing(order: str, monkeypatch: pytest.Monke
     ("x", np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])),
 ])  # fmt: skip
 def test_the_up_axis_is_turned_to_y_without_mirroring(axis: str, matrix: np.ndarray) -> None:
-    assert math.isclose(np.linalg.det(matrix), 1.0)
     source = read_bvh(bvh_text())
     as_is, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
     turned, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0, up_axis=axis).world()
@@ -227,7 +201,6 @@ def test_the_up_axis_is_turned_to_y_without_mirroring(axis: str, matrix: np.ndar
 
 @pytest.mark.parametrize("name", ["cmu_salsa_bvh/60_10.bvh", "projection_db_yiannakides/91_13.bvh"])
 def test_real_files_agree_with_an_independent_reader(data_dir: Path, name: str) -> None:
-
     path = data_dir / name
     ours = read_bvh(path.read_bytes())
     theirs = pybvh.read_bvh_file(path, world_up="+y")
@@ -238,8 +211,7 @@ def test_real_files_agree_with_an_independent_reader(data_dir: Path, name: str) 
     expected = np.asarray(theirs.node_positions())
     inner = [i for i, node in enumerate(theirs.nodes) if not node.is_end_site()]
     np.testing.assert_allclose(positions[picked][:, place], expected[picked][:, inner], atol=1e-6)
-    header = read_bvh_head(path.read_bytes())
-    assert header.num_frames == ours.num_frames
+    assert read_bvh_head(path.read_bytes()).num_frames == ours.num_frames
 
 
 def test_the_head_of_a_large_file_is_read_by_some_of_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:

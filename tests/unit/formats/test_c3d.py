@@ -1,6 +1,5 @@
 import re
 import struct
-from contextlib import suppress
 
 import ezc3d
 import numpy as np
@@ -11,9 +10,6 @@ from pasdedeux.formats.c3d import C3D, _num_frames, read_c3d, read_points, write
 from pasdedeux.formats.labelled_points import LabelledPoints
 from pasdedeux.formats.registry import recognise_format
 from pasdedeux.skeletons import BODY22
-from storage_schema import Store
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
 from tests.builders.source_samples import c3d_points, figure_motion
 
 POSITIONS_M, _ = figure_motion().world()
@@ -62,8 +58,6 @@ def test_people_are_told_apart_by_what_stands_before_the_colon():
     both = [C3D.read_person(number, data).to_motion(metres_per_unit=1e-3, rate_hz=30.0).world()[0] for number in (0, 1)]
     np.testing.assert_allclose(both[1] - both[0] - [1.0, 0.0, 0.0], 0.0, atol=1e-5)
     assert C3D.count_people(data) == 2
-    with pytest.raises(FormatError, match="person 2: it holds 2 people"):
-        C3D.read_person(2, data)
 
 
 def test_integers_are_scaled_as_the_file_says():
@@ -97,16 +91,6 @@ def test_a_file_of_analog_data_alone_is_refused():
     data[at : at + 2] = bytes(2)
     with pytest.raises(FormatError, match="holds analog data only"):
         read_c3d(bytes(data))
-
-
-def test_no_damage_does_more_than_a_format_error():
-    data, rng = c3d_points(), np.random.default_rng(0)
-    for number in range(300):
-        damaged = bytearray(data[: rng.integers(1, len(data))] if number % 3 == 0 else data)
-        for at in rng.integers(0, min(len(damaged), 3000), 4):
-            damaged[at] = rng.integers(256)
-        with suppress(FormatError):
-            read_c3d(bytes(damaged))
 
 
 @pytest.mark.parametrize(("name", "kind"), [("LABELS", 1), ("UNITS", 1), ("RATE", -1), ("SCALE", -1), ("USED", -1)])
@@ -174,13 +158,3 @@ def test_a_scene_of_somebody_else_is_told_how_to_come_in():
     for scene in (b"glTF\x02\0\0\0", b'{"asset": {"version": "2.0"}, "nodes": []}'):
         with pytest.raises(FormatError, match=r"this is a glTF scene.*export its armature as BVH"):
             recognise_format(scene)
-
-
-def test_a_take_of_both_people_of_one_file_is_who_they_were(tmp_path):
-    (tmp_path / "both.c3d").write_bytes(c3d_points("AB"))
-    take = {"id": "both", "files": [str(tmp_path / "both.c3d")] * 2, "floor": "keep"}
-    section = IngestParameters.model_validate({"rate_hz": 30.0, "takes": [take]})
-    store = Store(tmp_path / "store")
-    ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=1), section)[0], store)
-    found = store.read(ref, "poses")["body22_m"].reshape(2, -1, 22, 3)
-    np.testing.assert_allclose(found, [POSITIONS_M, POSITIONS_M + np.array([1.0, 0.0, 0.0])], atol=1e-5)

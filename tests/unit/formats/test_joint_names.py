@@ -115,16 +115,6 @@ def test_joints_go_where_their_names_say_in_any_spelling_and_order(case: str, re
             np.testing.assert_allclose(given.positions[:, limbs], joints.positions[:, limbs], atol=1e-9)
 
 
-def test_sides_exchanged_in_the_order_are_not_exchanged_in_the_result() -> None:
-    """The right side comes before the left one: 17 COCO names, and not the order of COCO."""
-    names = list(KEYPOINT_LAYOUTS["coco17"].keypoint_names)
-    order = [0, *(at + step for at in range(1, 17, 2) for step in (1, 0))]
-    px = np.stack([person_px("coco17")] * 2)
-    found = as_coco([names[at] for at in order], px[:, order])
-    assert found.layout == "coco17"
-    np.testing.assert_allclose(found.keypoints_px, px, atol=1e-9)
-
-
 PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
 
 

@@ -18,7 +18,7 @@ from pasdedeux.formats.poses2d.detections import Footage
 from pasdedeux.formats.poses2d.openpose import OPENPOSE
 from pasdedeux.formats.poses2d.points import read_points
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
-from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT
+from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
 from tests.builders.source_samples import (
     coco_text,
@@ -96,8 +96,11 @@ def test_a_fault_of_an_openpose_file_is_named(text: str, sentence: str) -> None:
 
 def test_a_layout_other_than_the_files_is_refused() -> None:
     kind, files = ANNOTATION_FORMATS["openpose"], openpose_files(openpose_text("coco18"))
+    assert read_annotations(kind, files, source_id="s", layout="coco18").layout == "coco18"
+    own = replace(KEYPOINT_LAYOUTS["coco18"], name="mine")  # its joints are put in our own order
+    assert read_annotations(kind, files, source_id="s", layout=own).layout == "pair17"
     with pytest.raises(InputError, match="the layout 'body25' is asked for, but the files have 18 keypoints"):
-        kind.read(files, sequence_id="s", layout="body25")
+        read_annotations(kind, files, source_id="s", layout="body25")
     with pytest.raises(FormatError, match=r"w_0_.*: person 0 has 18 keypoints and w_1_.* has 25: a source has one"):
         kind.read(openpose_files(openpose_text("coco18"), openpose_text("body25")), sequence_id="s")
 
@@ -140,15 +143,10 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
 
 
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
-def test_people_in_the_right_layout_are_accepted(layout: str) -> None:
-    check_anatomy(rows_of(layout, np.stack([person_px(layout, seed) for seed in range(10)])))
-
-
-@pytest.mark.parametrize("layout", sorted({layout.name for some in LAYOUTS_OF_COUNT.values() for layout in some}))
 def test_noise_missing_joints_and_junk_do_not_make_people_of_another_layout(layout: str) -> None:
     """Whatever a detector adds to the right keypoints, they stay right: what is measured are medians."""
     rng = np.random.default_rng(7)
-    for noise_px, missing, junk in ((5.0, 0.1, 0), (5.0, 0.1, 3), (8.0, 0.3, 1)):
+    for noise_px, missing, junk in ((0.0, 0.0, 0), (5.0, 0.1, 0), (5.0, 0.1, 3), (8.0, 0.3, 1)):
         px = np.stack([person_px(layout, seed) for seed in range(40)])
         px += rng.normal(0.0, noise_px, px.shape)
         px[rng.random(px.shape[:2]) < missing] = np.nan
@@ -166,12 +164,6 @@ def test_coco18_padded_to_25_keypoints_is_noticed_and_the_right_order_named_also
     px[:, 14:18] = np.nan
     with pytest.raises(InputError, match=r"the mid-hip lies .* of a body from the middle of the hips.*'coco18' fits"):
         check_anatomy(rows_of("body25", px))
-
-
-def test_keypoints_in_a_random_order_are_noticed() -> None:
-    order = np.random.default_rng(3).permutation(17)
-    with pytest.raises(InputError, match="do not look like people"):
-        check_anatomy(rows_of("coco17", np.stack([person_px("coco17", seed)[order] for seed in range(10)])))
 
 
 def test_a_real_walk_is_read_as_coco18(data_dir: Path) -> None:
@@ -322,13 +314,6 @@ def test_videos_of_names_that_look_alike_stay_two() -> None:
     assert set(found.frame.tolist()) == {0, 1, 2}
 
 
-def test_coco_results_carry_confidences() -> None:
-    keypoints = np.concatenate([person_px("coco17"), np.full((17, 1), 0.25)], axis=1).reshape(-1).tolist()
-    found = read_coco(json.dumps([{"image_id": 3, "keypoints": keypoints, "score": 1.0}]), sequence_id="r")
-    assert found.frame.tolist() == [3]
-    assert (found.confidence == 0.25).all()
-
-
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
@@ -401,25 +386,7 @@ def test_our_formats_round_trip_with_missing_keypoints_and_people() -> None:
 
 def test_the_same_person_twice_in_a_frame_is_refused() -> None:
     with pytest.raises(FormatError, match="person 0 appears twice"):
-        AnnotatedFrames(
-            layout="coco17",
-            sequence_id=("s", "s"),
-            frame=np.zeros(2, int),
-            person_id=np.zeros(2, int),
-            keypoints_px=np.zeros((2, 17, 2)),
-            confidence=np.ones((2, 17)),
-        )
-
-
-@pytest.mark.parametrize("layout", ["coco18", "coco17"])
-def test_reading_never_swaps_left_and_right(layout: str) -> None:
-    names = KEYPOINT_LAYOUTS[layout].keypoint_names
-    if layout == "coco18":
-        px = read_openpose_frame(openpose_text(layout)).keypoints_px[0]
-    else:
-        px = read_coco(coco_text(1, 1), sequence_id="s").keypoints_px[0]
-    assert px[names.index("left_wrist"), 1] < px[names.index("left_elbow"), 1]  # the raised hand is the left one
-    assert px[names.index("left_shoulder"), 0] > px[names.index("right_shoulder"), 0]
+        replace(rows_of("coco17", np.zeros((2, 17, 2))), frame=np.zeros(2, int))
 
 
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
@@ -434,12 +401,3 @@ def test_feet_are_given_where_a_layout_has_them(layout: str) -> None:
         np.testing.assert_array_equal(feet.positions[FEET4.index("left_heel")], heel)
         ball = feet.positions[FEET4.index("left_toe")]
         np.testing.assert_allclose(np.linalg.norm(ball - heel) + np.linalg.norm(tip - ball), np.linalg.norm(tip - heel))
-
-
-def test_files_of_another_layout_than_the_study_says_are_refused() -> None:
-    kind, files = ANNOTATION_FORMATS["openpose"], openpose_files(openpose_text("coco18"))
-    assert read_annotations(kind, files, source_id="s", layout="coco18").layout == "coco18"
-    own = replace(KEYPOINT_LAYOUTS["coco18"], name="mine")  # its joints are put in our own order
-    assert read_annotations(kind, files, source_id="s", layout=own).layout == "pair17"
-    with pytest.raises(InputError, match="body25"):
-        read_annotations(kind, files, source_id="s", layout="body25")

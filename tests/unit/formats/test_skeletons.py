@@ -10,10 +10,6 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17, WORKING_SKELETONS, JointMa
 from pasdedeux.skeletons.mapping import weighted_points
 
 
-def test_working_skeletons_have_their_number_of_joints() -> None:
-    assert (PAIR17.num_joints, OP14.num_joints, BODY22.num_joints) == (17, 14, 22)
-
-
 @pytest.mark.parametrize("skeleton", WORKING_SKELETONS.values(), ids=lambda s: s.name)
 def test_order_visits_every_parent_before_its_children(skeleton: Skeleton) -> None:
     seen: set[int] = set()

@@ -80,8 +80,6 @@ def test_parameters_of_two_and_in_parts_are_the_same_people() -> None:
             np.testing.assert_allclose(part.root_translation, whole.root_translation, atol=1e-9)
             np.testing.assert_allclose(part.rest_offsets, whole.rest_offsets, atol=1e-9)
             assert part.rate_hz == 30.0
-    with pytest.raises(FormatError, match="person 1: it holds 1 person"):
-        MOTION_FORMATS["smpl"].read_person(1, amass(), body_model())
 
 
 def test_betas_are_found_again_from_the_lengths_of_bones() -> None:
@@ -98,11 +96,7 @@ def test_betas_are_found_again_from_the_lengths_of_bones() -> None:
 
 
 BAD: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
-    "another kind": (
-        {"kind": "SMPL-X"},
-        {"kind": "SMPL-H"},
-        "parameters of SMPL-X; the body model is SMPL-H",
-    ),
+    "another kind": ({"kind": "SMPL-X"}, {"kind": "SMPL-H"}, "parameters of SMPL-X; the body model is SMPL-H"),
     "no kind": ({"poses": np.zeros((12, 10))}, {}, "parameters of no known kind"),
     "no betas": ({"betas": None}, {}, "array 'betas' of floats"),
     "more betas": ({"betas": np.ones(NUM_BETAS + 2)}, {}, "have 6 betas, the body model has 4"),
@@ -123,7 +117,5 @@ def test_what_does_not_fit_is_refused_in_a_sentence(how: str) -> None:
 def test_a_body_model_is_no_motion_and_a_pickle_is_never_opened() -> None:
     with pytest.raises(FormatError, match="the body model of files of the format 'smpl', not a motion itself"):
         recognise_format(body_model())
-    with pytest.raises(FormatError, match=r"this is a pickle, .* never opened here"):
-        recognise_format(b"\x80\x04\x95")
     with pytest.raises(FormatError, match="this is a pickle"):
         read_body_model(b"\x80\x04\x95")

@@ -50,7 +50,7 @@ MAX_TURN_RAD_S = np.deg2rad(2000.0)
 
 
 @dataclass(frozen=True)
-class Clip:
+class SampleClip:
     """Two people (frame, 2, 22, 3), metres, y up, on their floor."""
 
     family: str
@@ -149,7 +149,7 @@ FAULTS: Mapping[str, Plant] = {
 }
 
 
-def duet_clips(count: int) -> Iterator[Clip]:
+def duet_clips(count: int) -> Iterator[SampleClip]:
     """Yield windows of every built-in duet of two people, each in another style and on other bodies."""
     names = [name for name, dance in DUETS.items() if dance.num_people == 2]
     generator = np.random.default_rng(SEED)
@@ -161,7 +161,7 @@ def duet_clips(count: int) -> Iterator[Clip]:
         yield _window(name, number, people_m, motions[0].rate_hz)
 
 
-def salsa_clips(data: Path, count: int) -> Iterator[Clip]:
+def salsa_clips(data: Path, count: int) -> Iterator[SampleClip]:
     """Yield windows of every take of salsa."""
     files = sorted((data / "cmu_salsa_bvh").glob("*.bvh"))
     for at, motion in enumerate(motions := pair_up(dict.fromkeys(files, 1))):
@@ -170,10 +170,10 @@ def salsa_clips(data: Path, count: int) -> Iterator[Clip]:
             yield _window(f"salsa {motion.name}", number, take.people_m, take.rate_hz)
 
 
-def _window(family: str, number: int, people_m: Array, rate_hz: float) -> Clip:
+def _window(family: str, number: int, people_m: Array, rate_hz: float) -> SampleClip:
     length = round(CLIP_S * rate_hz)
     start = int(np.random.default_rng([SEED, number]).integers(len(people_m) - length))
-    return Clip(family, number, people_m[start : start + length], rate_hz)
+    return SampleClip(family, number, people_m[start : start + length], rate_hz)
 
 
 def drift(people_m: Array, source: Source, generator: np.random.Generator) -> Array:
@@ -229,7 +229,7 @@ class Measured:
     past: frozenset[str]
 
 
-def measure(clip: Clip) -> Measured:
+def measure(clip: SampleClip) -> Measured:
     """Measure the capture of a clip."""
     people = check_capture(clip.people_m, rate_hz=clip.rate_hz)
     limits = {name: both for name, both in limits_of(JUDGED).items() if name != "body_difference_m"}
@@ -250,7 +250,7 @@ def _measured(
     return Measured(family, values, frozenset(past))
 
 
-def measure_all(clip: Clip, *, with_drift: bool) -> dict[str, tuple[Measured, Measured]]:
+def measure_all(clip: SampleClip, *, with_drift: bool) -> dict[str, tuple[Measured, Measured]]:
     """Measure a clip untouched and with each kind of fault; the seed is the number of the clip and the kind."""
     untouched, changed = measure(clip), {}
     for at, (kind, plant) in enumerate(FAULTS.items()):
@@ -260,7 +260,7 @@ def measure_all(clip: Clip, *, with_drift: bool) -> dict[str, tuple[Measured, Me
     return changed | ({"contact drift": both} if both is not None else {})
 
 
-def measure_drift(clip: Clip, generator: np.random.Generator) -> tuple[Measured, Measured] | None:
+def measure_drift(clip: SampleClip, generator: np.random.Generator) -> tuple[Measured, Measured] | None:
     """Measure a variant of a clip and the same with a drifting contact; None without contacts."""
     original = CheckedMotion(clip.family, clip.people_m, clip.rate_hz)
     source = original.source

@@ -65,7 +65,7 @@ LARGE_M = 0.12
 
 
 @dataclass(frozen=True)
-class Clip:
+class ClipSettings:
     """Part of a take, statures of its people, and camera of a clip."""
 
     family: str
@@ -79,10 +79,10 @@ class Clip:
 
 
 @dataclass(frozen=True)
-class Seen:
+class FilmedClip:
     """A filmed clip: tracks, true positions (frame, person, 14, 3) in camera axes, and the height of the camera."""
 
-    clip: Clip
+    clip: ClipSettings
     tracks: list[Track]
     truth_m: Array
     height_m: float
@@ -150,9 +150,9 @@ class Takes:
         database = replace(read_searched(self._store, refs), pairs_m=read_pairs(self._store, refs))
         return replace(database, ready=tuple(database.searcher(pitch) for pitch in database.pitches_rad))
 
-    def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[Clip]:
+    def clips(self, num_clips: int, *, seed: int = 0, pitches_deg: Sequence[float] = PITCHES_DEG) -> list[ClipSettings]:
         """Return so many clips of each family; clips of different seeds are independent."""
-        rng, clips = np.random.default_rng(seed), list[Clip]()
+        rng, clips = np.random.default_rng(seed), list[ClipSettings]()
         for family, takes in FAMILIES.items():
             for number in range(num_clips):
                 take = takes[number % len(takes)]
@@ -161,10 +161,10 @@ class Takes:
                 stature, seed = float(rng.uniform(1.5, 2.0)), int(rng.integers(1e9))
                 yaw = float(rng.uniform(-np.pi, np.pi))
                 focal = (0.72, 1.15)[number % 2] * WIDTH
-                clips.append(Clip(family, take, start, float(pitch), focal, stature, seed, yaw))
+                clips.append(ClipSettings(family, take, start, float(pitch), focal, stature, seed, yaw))
         return clips
 
-    def seen(self, clip: Clip, *, has_lens: bool = False) -> Seen:
+    def seen(self, clip: ClipSettings, *, has_lens: bool = False) -> FilmedClip:
         """Film a clip."""
         rng, middle = np.random.default_rng(clip.seed), np.array([WIDTH / 2, HEIGHT / 2])
         world = self.poses_m[clip.take][clip.first_frame : clip.first_frame + int(SECONDS * RATE_HZ)]
@@ -195,7 +195,7 @@ class Takes:
             )
             for one in people
         ]  # fmt: skip
-        return Seen(clip, tracks, truth, float(camera.position_m[1]))
+        return FilmedClip(clip, tracks, truth, float(camera.position_m[1]))
 
 
 def lasting_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
@@ -209,7 +209,7 @@ def lasting_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 
 def reconstruct(
-    seen: Seen,
+    seen: FilmedClip,
     database: SearchedDatabase,
     camera: StatedCamera | None = None,
     statures_m: Mapping[int, float] | None = None,
@@ -223,7 +223,7 @@ def reconstruct(
 class Row:
     """Errors of one person or couple of a clip by method, metres; the expected error of the last, and its evidence."""
 
-    clip: Clip
+    clip: ClipSettings
     is_place: bool
     errors_m: dict[str, float]
     expected_m: float
@@ -231,7 +231,7 @@ class Row:
     verdict: str
 
 
-def rows_of(seen: Seen, reconstruction: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
+def rows_of(seen: FilmedClip, reconstruction: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
     """Yield everybody and the couple of a clip."""
     judged = reconstruction.judged
     made = {one.name: one.people for one in reconstruction.people.methods} | (

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from benchmarks.benchmark import BenchmarkResult, Rate, measure
 from pasdedeux.choreography.duets import make_duet
 from storage_schema import TABLES, Manifest, ShardRecord, SourceCredit, Store, artifact_key, record_latest, table_files
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from tasks.stage.facts import TakeFacts, VariantFacts
 from tasks.windows import PairDataset, PairStream
 
@@ -31,7 +31,7 @@ _ROWS_OF_DATASETS = 3_000
 
 def _rows(table: str, count: int, **given: Any) -> dict[str, Any]:
     """Return rows of a table, with zeros and empty texts where nothing is given."""
-    empty = {Kind.TEXT: "", Kind.TEXT_LIST: [], Kind.VARYING: np.zeros(0)}
+    empty = {ColumnKind.TEXT: "", ColumnKind.TEXT_LIST: [], ColumnKind.VARYING: np.zeros(0)}
     columns: dict[str, Any] = {}
     for column in TABLES[table].columns:
         kind = column_kind(column)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from flows.reasons import changed_leaves
-from flows.recorded import Place, Recorded, environment_changes
+from flows.recorded import ArtifactPlace, Recorded, environment_changes
 from pasdedeux.plain_text import counted
 from storage_schema import Manifest, Store
 from storage_schema.comparison import Difference, compare_artifacts
@@ -129,9 +129,9 @@ class Comparison:
     """
 
     num_same: int
-    only_one: tuple[Place, ...]
-    differing: Mapping[Place, Sequence[Difference]]
-    beyond: Place | None
+    only_one: tuple[ArtifactPlace, ...]
+    differing: Mapping[ArtifactPlace, Sequence[Difference]]
+    beyond: ArtifactPlace | None
 
     @property
     def is_same(self) -> bool:
@@ -165,7 +165,10 @@ class Comparison:
 
 
 def compare(
-    one_store: Store, first: Mapping[Place, Manifest], other_store: Store, other: Mapping[Place, Manifest]
+    one_store: Store,
+    first: Mapping[ArtifactPlace, Manifest],
+    other_store: Store,
+    other: Mapping[ArtifactPlace, Manifest],
 ) -> Comparison:
     """Compare two builds artifact by artifact; only those with different digests are read.
 

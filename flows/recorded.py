@@ -19,7 +19,7 @@ from storage_schema.credits import merge_credits
 from storage_schema.datasets import open_dataset
 from storage_schema.runs import STUDY_FILE
 
-Place = tuple[str, str, str]
+ArtifactPlace = tuple[str, str, str]
 """Place of an artifact in a study: stage, partition, shard."""
 
 _PATH = re.compile(r'"(/[^"|\n]+)')
@@ -37,7 +37,7 @@ class Recorded:
     label: str
     sections: Mapping[str, Any]
     environment: Mapping[str, Any]
-    artifacts: Mapping[Place, Manifest]
+    artifacts: Mapping[ArtifactPlace, Manifest]
     named: frozenset[str]
     credits: tuple[SourceCredit, ...]
 
@@ -98,7 +98,7 @@ def _finished_run(store: Store, name: str) -> Path:
     return open_run(store, name).path
 
 
-def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place, Manifest]:
+def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[ArtifactPlace, Manifest]:
     """Return these artifacts and all their ancestors by place, each after its inputs.
 
     Raises:
@@ -112,11 +112,11 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
         if ref not in manifests:
             manifests[ref] = store.manifest(ref)
             waiting += manifests[ref].inputs
-    places: dict[ArtifactRef, Place] = {
+    places: dict[ArtifactRef, ArtifactPlace] = {
         ref: (ref.stage, manifest.partition, manifest.name) for ref, manifest in manifests.items()
     }
     reads = {ref: manifests[ref].inputs for ref in sorted(manifests, key=places.__getitem__)}
-    artifacts: dict[Place, Manifest] = {}
+    artifacts: dict[ArtifactPlace, Manifest] = {}
     for ref in TopologicalSorter(reads).static_order():
         place = places[ref]
         if artifacts.setdefault(place, manifests[ref]) is not manifests[ref]:

@@ -15,7 +15,7 @@ from storage_schema.keys import canonical_json
 from storage_schema.version import SCHEMA_VERSION
 
 
-class Kind(Enum):
+class ColumnKind(Enum):
     """Python form of a column's values."""
 
     TEXT = "text"
@@ -27,17 +27,17 @@ class Kind(Enum):
     VARYING = "arrays of varying length"
 
 
-def column_kind(column: Column) -> Kind:
+def column_kind(column: Column) -> ColumnKind:
     """Return the Python form of a column's values."""
     if pa.types.is_fixed_size_list(column.type):
-        return Kind.FIXED
+        return ColumnKind.FIXED
     if pa.types.is_list(column.type):
-        return Kind.TEXT_LIST if pa.types.is_string(column.type.value_type) else Kind.VARYING
+        return ColumnKind.TEXT_LIST if pa.types.is_string(column.type.value_type) else ColumnKind.VARYING
     if pa.types.is_string(column.type):
-        return Kind.TEXT
+        return ColumnKind.TEXT
     if pa.types.is_boolean(column.type):
-        return Kind.BOOLEAN
-    return Kind.INTEGER if pa.types.is_integer(column.type) else Kind.FLOAT
+        return ColumnKind.BOOLEAN
+    return ColumnKind.INTEGER if pa.types.is_integer(column.type) else ColumnKind.FLOAT
 
 
 def value_type(column: Column) -> pa.DataType:
@@ -84,8 +84,8 @@ def _field(column: Column) -> pa.Field:
 def _stored_type(column: Column) -> pa.DataType:
     """Return the column's type with elements that are never null; a missing number inside an array is NaN."""
     kind = column_kind(column)
-    if kind is Kind.FIXED:
+    if kind is ColumnKind.FIXED:
         return pa.list_(pa.field("element", column.type.value_type, nullable=False), column.type.list_size)
-    if kind in (Kind.VARYING, Kind.TEXT_LIST):
+    if kind in (ColumnKind.VARYING, ColumnKind.TEXT_LIST):
         return pa.list_(pa.field("element", column.type.value_type, nullable=False))
     return column.type

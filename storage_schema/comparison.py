@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.columns import Column
 from storage_schema.manifest import Manifest
 from storage_schema.store import Store
@@ -134,7 +134,7 @@ def _of_table(
 
 def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, start: int) -> Difference | None:
     first, other = mine[column.name], theirs[column.name]
-    if column_kind(column) is Kind.VARYING:
+    if column_kind(column) is ColumnKind.VARYING:
         lengths = [len(values) for values in first]
         if lengths != [len(values) for values in other]:
             row = next(i for i, values in enumerate(other) if len(values) != lengths[i])
@@ -144,7 +144,7 @@ def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, st
         first, other = (np.concatenate([*values, []]) for values in (first, other))
     else:
         rows = np.arange(len(mine))
-    if column_kind(column) in (Kind.TEXT, Kind.TEXT_LIST):
+    if column_kind(column) in (ColumnKind.TEXT, ColumnKind.TEXT_LIST):
         differing = [
             _of_text(name, column, start + index, str(a), str(b))
             for index, (a, b) in enumerate(zip(first, other, strict=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.columns import Column, Table
 from storage_schema.comparison import tolerances_text
 from storage_schema.joints import JOINT_NAMES
@@ -64,7 +64,7 @@ def _column(column: Column) -> str:
     kind = column_kind(column)
     element = str(value_type(column)).replace("double", "float64").replace("float", "float32")
     element = element.replace("float3264", "float64")
-    type_text = f"list of {element}" if kind in (Kind.VARYING, Kind.TEXT_LIST) else element
+    type_text = f"list of {element}" if kind in (ColumnKind.VARYING, ColumnKind.TEXT_LIST) else element
     if column.is_nullable:
         type_text += ", *null*"
     axes = " x ".join(f"{name} {size}" for name, size in zip(column.axes, column.shape, strict=True))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from storage_schema.arrow import Kind, arrow_schema, column_kind, value_type
+from storage_schema.arrow import ColumnKind, arrow_schema, column_kind, value_type
 from storage_schema.columns import Column, Table
 from storage_schema.errors import SchemaError
 
@@ -70,7 +70,12 @@ def _encode_column(column: Column, columns: Mapping[str, Any], stored: pa.DataTy
     values = columns[column.name]
     if (num_rows := _num_rows(values)) != (wanted := _num_rows(columns[first])):
         raise _MisfitError(f"has {num_rows} rows but column '{first}' has {wanted}")
-    encoders = {Kind.FIXED: _fixed, Kind.VARYING: _varying, Kind.TEXT: _texts, Kind.TEXT_LIST: _texts}
+    encoders = {
+        ColumnKind.FIXED: _fixed,
+        ColumnKind.VARYING: _varying,
+        ColumnKind.TEXT: _texts,
+        ColumnKind.TEXT_LIST: _texts,
+    }
     return encoders.get(column_kind(column), _numbers)(column, values, stored)
 
 
@@ -114,7 +119,7 @@ def _varying(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
 
 
 def _texts(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
-    is_list = column_kind(column) is Kind.TEXT_LIST
+    is_list = column_kind(column) is ColumnKind.TEXT_LIST
     kinds = set(map(type, values))
     are_texts = not is_list and all(
         issubclass(kind, str) or (kind is NoneType and column.is_nullable) for kind in kinds

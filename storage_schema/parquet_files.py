@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from storage_schema.arrow import Kind, arrow_schema, column_kind, schema_digest, value_type
+from storage_schema.arrow import ColumnKind, arrow_schema, column_kind, schema_digest, value_type
 from storage_schema.columns import Column, Table
 from storage_schema.durable import HashingFile
 from storage_schema.encoding import encode
@@ -147,7 +147,9 @@ def _options(table: Table) -> dict[str, Any]:
         "data_page_version": "1.0",
         "compression": "zstd",
         "compression_level": _COMPRESSION_LEVEL,
-        "use_dictionary": [_path(c) for c in table.columns if column_kind(c) in (Kind.TEXT, Kind.TEXT_LIST)],
+        "use_dictionary": [
+            _path(c) for c in table.columns if column_kind(c) in (ColumnKind.TEXT, ColumnKind.TEXT_LIST)
+        ],
         "use_byte_stream_split": [_path(c) for c in table.columns if pa.types.is_floating(value_type(c))],
         "write_statistics": [c.name for c in table.columns if not pa.types.is_nested(c.type)],
         "write_page_checksum": True,

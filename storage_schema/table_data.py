@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from storage_schema.arrow import Kind, arrow_schema, column_kind
+from storage_schema.arrow import ColumnKind, arrow_schema, column_kind
 from storage_schema.columns import Column, Table
 from storage_schema.errors import SchemaError
 
@@ -99,16 +99,16 @@ def concatenate(table: Table, parts: Iterable[TableData]) -> TableData:
 
 def _decode(column: Column, chunks: pa.ChunkedArray) -> Any:
     kind = column_kind(column)
-    if kind is Kind.TEXT:
+    if kind is ColumnKind.TEXT:
         texts = np.empty(len(chunks), dtype=object)
         texts[:] = chunks.to_pylist()
         return texts
-    if kind is Kind.TEXT_LIST:
+    if kind is ColumnKind.TEXT_LIST:
         return chunks.to_pylist()
     values = chunks.combine_chunks()
-    if kind is Kind.FIXED:
+    if kind is ColumnKind.FIXED:
         return _numpy(values.flatten()).reshape(len(chunks), *column.shape)
-    if kind is Kind.VARYING:
+    if kind is ColumnKind.VARYING:
         flat = _numpy(values.flatten())
         offsets = values.offsets.to_numpy() - (values.offsets[0].as_py() if len(values.offsets) else 0)
         return [flat[start:stop] for start, stop in itertools.pairwise(offsets)]

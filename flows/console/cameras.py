@@ -9,7 +9,7 @@ from pathlib import Path
 from flows.console.annotate import film_source
 from flows.console.context import echo
 from flows.console.inputs import find_source
-from flows.exports.reconstructions import Footage
+from flows.exports.reconstructions import CameraData
 from pasdedeux.errors import InputError
 from pasdedeux.formats.poses2d.calibration import CalibratedCamera, choose_cameras, read_calibration
 from pasdedeux.formats.poses2d.camera_motion import CameraMotion
@@ -71,7 +71,7 @@ class OtherCamera:
     """
 
     tracks: list[Track]
-    footage: Footage
+    footage: CameraData
     size_px: tuple[float, float] | None
 
 
@@ -98,7 +98,7 @@ def read_camera(name: str, source: FoundAnnotations) -> OtherCamera:
     tracks, motion = steady_tracks(resolved, sequence)
     if not tracks:
         raise InputError(f"camera {name}: no frame shows enough joints of a person")
-    footage = Footage(motion, source if isinstance(source, FoundFilm) else None)
+    footage = CameraData(motion, source if isinstance(source, FoundFilm) else None)
     return OtherCamera(tracks, footage, image_size_px(resolved, sequence))
 
 

@@ -16,7 +16,7 @@ from typer import Argument, Option
 
 from flows.console import options
 from flows.console.context import answer, app
-from flows.console.display import Steps, format_table, make_listener
+from flows.console.display import StepReporter, format_table, make_listener
 from flows.console.inputs import RateOption, UnitOption, in_options
 from flows.exports.export_format import write_text
 from pasdedeux.augmentation import quality
@@ -126,7 +126,7 @@ def _pool(workers: int | None) -> Iterator[Run]:
                 return [work(*row) for row in rows]
             listener, done = make_listener(), list[Any]()
             listener.note(f"{len(rows)} to look at")
-            step = Steps(listener, len(rows))
+            step = StepReporter(listener, len(rows))
             try:
                 for result in pool.map(work, *zip(*rows, strict=True), chunksize=4):
                     done.append(result)

@@ -144,7 +144,7 @@ class BarListener(LineListener):
             self._console.print(line, markup=False, soft_wrap=True)
 
 
-class Steps:
+class StepReporter:
     """Reports the steps of a piece of work to a listener, with the time left if all take the same; call it for each.
 
     Args:

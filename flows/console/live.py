@@ -203,7 +203,7 @@ def follow_lines(
         InputError: Keypoints are not people, or the layout changes.
     """
     times = _Times(time.time() if began is None else began)
-    lines = _Lines(people, out, rate_hz=rate_hz)
+    lines = _JsonLines(people, out, rate_hz=rate_hz)
     seen: list[Detection] = []
     layout: str | None = None
     for file in files:
@@ -274,7 +274,7 @@ def _spread_ms(seconds: list[float]) -> str:
     return f"{1000 * np.median(seconds):.1f} ms (median), {1000 * np.quantile(seconds, 0.99):.1f} ms (99 %)"
 
 
-class _Lines:
+class _JsonLines:
     """Writes lines of JSON: a header, then one for each pose."""
 
     def __init__(self, people: LivePeople, out: TextIO | None, *, rate_hz: float) -> None:

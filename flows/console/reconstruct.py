@@ -26,10 +26,10 @@ from flows.console.cameras import (
     steady_tracks,
 )
 from flows.console.context import app, echo, key_option, say
-from flows.console.display import Steps, format_table, make_listener
+from flows.console.display import StepReporter, format_table, make_listener
 from flows.console.inputs import find_database, read_statures
 from flows.console.live import follow_video
-from flows.exports.reconstructions import Footage, write_reconstruction
+from flows.exports.reconstructions import CameraData, write_reconstruction
 from flows.progress import Listener
 from pasdedeux.errors import InputError
 from pasdedeux.people.resolution import ResolvedPeople, SequencePeople
@@ -239,7 +239,7 @@ def _reconstruct_sequence(
         has_clean_up=wanted.has_clean_up,
         statures_m={person_id: metres for person_id, metres in statures_m.items() if person_id in shown},
     )
-    footage, cameras = [Footage(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
+    footage, cameras = [CameraData(motion, source if isinstance(source, FoundFilm) else None)], list[SeenBy]()
     if others:
         calibrated = wanted.calibration.for_images(
             [image_size_px(resolved, sequence), *(other.size_px for other in others)]
@@ -251,7 +251,7 @@ def _reconstruct_sequence(
             options,
             names=wanted.calibration.names,
             calibration=calibrated,
-            on_camera=Steps(listener, 1 + len(others)),
+            on_camera=StepReporter(listener, 1 + len(others)),
         )
         reconstruction, cameras = Reconstruction(together.people, together.judged), together.cameras
         footage += [other.footage for other in others]
@@ -261,7 +261,7 @@ def _reconstruct_sequence(
         for line in together.left_out:
             echo(line, err=True)
     else:
-        on_step = Steps(listener, 1 + 2 * len(tracks))
+        on_step = StepReporter(listener, 1 + 2 * len(tracks))
         reconstruction = reconstruct_sequence(
             tracks, wanted.database, wanted.camera, options, sequence_id=sequence.sequence_id, on_step=on_step
         )

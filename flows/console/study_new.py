@@ -53,7 +53,7 @@ _quoted = partial(json.dumps, ensure_ascii=False)
 
 
 @dataclass(frozen=True)
-class _Person:
+class _DraftedPerson:
     """A person of a motion file: motion, resolved properties, and a drafted mapping if no layout fits.
 
     `layout` is the name of the layout or mapping; empty if a mapping lacks required joints.
@@ -107,7 +107,7 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
         raise InputError(f"{path} already exists; choose another name or remove it")
     sources = [source for file in files for source in _inspect(file, path.parent)]
     sources += [_read_film(film, path.parent) for film in films]
-    people = _with_one_draft([source for source in sources if isinstance(source, _Person)])
+    people = _with_one_draft([source for source in sources if isinstance(source, _DraftedPerson)])
     videos = [source for source in sources if isinstance(source, _Video)]
     # Names of files and joints in them must not become lines of the study.
     lines = [visible(line, is_line=True) for line in _take_lines(people)] if people else []
@@ -142,7 +142,7 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
     return [visible(line, is_line=True) for line in told]
 
 
-def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
+def _inspect(path: Path, base: Path) -> Sequence[_DraftedPerson | _Video]:
     """Read all people of a motion file, or a file or folder of 2D poses."""
     if not path.exists():
         raise InputError(f"file {path} does not exist")
@@ -161,7 +161,7 @@ def _inspect(path: Path, base: Path) -> Sequence[_Person | _Video]:
         return [_person(path, loaded.file, motion) for motion in motions]
 
 
-def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
+def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _DraftedPerson:
     """Resolve a person's motion as a study will, with a drafted mapping if no known layout fits."""
     options = PersonOptions(metres_per_unit=exported_unit_m(path))
     taken, draft, layout = resolve_file(file, motion, options), None, ""
@@ -174,7 +174,7 @@ def _person(path: Path, file: SourceFile, motion: SourceMotion) -> _Person:
             taken = resolve_file(file, motion, options.model_copy(update={"layout": name}), {name: {"parts": parts}})
             layout = name if taken.layout is not None else ""
     known = known_source(path.name, layout, stated_hz=motion.rate_hz, is_fetched=was_fetched(path, file.sha256))
-    return _Person(path, file.sha256, motion, taken, known, layout, draft)
+    return _DraftedPerson(path, file.sha256, motion, taken, known, layout, draft)
 
 
 def _read_video(path: Path, base: Path) -> _Video:
@@ -222,7 +222,7 @@ def _read_film(film: FilmOptions, base: Path) -> _Video:
     )
 
 
-def _take_lines(people: Sequence[_Person]) -> list[str]:
+def _take_lines(people: Sequence[_DraftedPerson]) -> list[str]:
     """Return the lines of a take below its files."""
     by_digest = {person.sha256: person.path for person in reversed(people)}
     for person in people:
@@ -252,10 +252,10 @@ def _key(line: str) -> str:
     return line.removeprefix("# ").partition("#")[0].strip()
 
 
-def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
+def _with_one_draft(people: Sequence[_DraftedPerson]) -> list[_DraftedPerson]:
     """Return people, where those whose drafts have the same joints share the draft of the first."""
-    first: dict[tuple[str, ...], _Person] = {}
-    shared: list[_Person] = []
+    first: dict[tuple[str, ...], _DraftedPerson] = {}
+    shared: list[_DraftedPerson] = []
     for person in people:
         if person.draft is not None:
             owner = first.setdefault(tuple(part.joint for part in person.draft.parts), person)
@@ -267,7 +267,7 @@ def _with_one_draft(people: Sequence[_Person]) -> list[_Person]:
     return shared
 
 
-def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
+def _drafts(people: Sequence[_DraftedPerson]) -> list[tuple[Path, str, Draft]]:
     """Return each draft once, with its first file and its name."""
     named_drafts = {
         id(person.draft): (person.path, person.layout, person.draft) for person in reversed(people) if person.draft
@@ -275,7 +275,7 @@ def _drafts(people: Sequence[_Person]) -> list[tuple[Path, str, Draft]]:
     return [(path, name or _identifier(path.stem), draft) for path, name, draft in reversed(named_drafts.values())]
 
 
-def _drafted(people: Sequence[_Person]) -> list[str]:
+def _drafted(people: Sequence[_DraftedPerson]) -> list[str]:
     """Return the drafts as a table for the terminal, and the missing joints."""
     lines = []
     for path, _, draft in _drafts(people):
@@ -295,7 +295,7 @@ def _drafted(people: Sequence[_Person]) -> list[str]:
     return lines
 
 
-def _layout(person: _Person) -> str:
+def _layout(person: _DraftedPerson) -> str:
     if not person.layout:
         return f"# layout: {person.taken.why_no_layout.partition(';')[0]}: SET IT, it is needed"
     if person.draft is not None:
@@ -310,7 +310,7 @@ def _axis(axis: AxisGuess) -> str:
     return f'up_axis = "{axis.axis}"         # bodies stand along it: {_words(axis.confidence)}'
 
 
-def _mirror(person: _Person, exchanged: Sequence[bool]) -> str:
+def _mirror(person: _DraftedPerson, exchanged: Sequence[bool]) -> str:
     """Return the line that exchanges left and right, for a file that has them reversed."""
     mend = "true" if all(exchanged) else '"names"'
     return (
@@ -319,7 +319,7 @@ def _mirror(person: _Person, exchanged: Sequence[bool]) -> str:
     )
 
 
-def _said(person: _Person) -> str:
+def _said(person: _DraftedPerson) -> str:
     """Describe a motion file."""
     rate_hz = person.taken.rate_hz or usual_rate_hz(person.path.name)
     lasts = "" if rate_hz is None else f" ({person.num_frames / rate_hz:.1f} s at {rate_hz:g} Hz)"
@@ -327,7 +327,7 @@ def _said(person: _Person) -> str:
     return f"{person.path.name}: {frames}{lasts}, about {height_m:.2f} m tall"
 
 
-def _length(people: Sequence[_Person]) -> list[str]:
+def _length(people: Sequence[_DraftedPerson]) -> list[str]:
     """Return a line if files differ in length, in seconds if their rates differ: they may not be one take."""
     lengths: list[float] = [person.num_frames for person in people]
     shown, what, slack = [str(length) for length in lengths], "frames", 0.0
@@ -343,7 +343,7 @@ def _length(people: Sequence[_Person]) -> list[str]:
     return [near if is_near else f"# {near} Then switch this on"]
 
 
-def _rate(person: _Person) -> str:
+def _rate(person: _DraftedPerson) -> str:
     stated_hz, known_hz = person.motion.rate_hz, person.known.rate_hz
     if known_hz is not None:
         is_other = stated_hz is not None and abs(stated_hz - known_hz) > 0.01
@@ -359,7 +359,7 @@ def _rate(person: _Person) -> str:
     return f"rate_hz = {usual_hz:g}         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
 
 
-def _unit(person: _Person) -> str:
+def _unit(person: _DraftedPerson) -> str:
     """Return the length unit of a person."""
     unit, name, known_m = person.taken.unit, person.path.name, person.known.metres_per_unit
     if exported_unit_m(person.path) is not None:

@@ -32,7 +32,7 @@ _OF_VARIANTS = ("variants", "variant_quality", "variant_frames")
 
 
 @dataclass(frozen=True)
-class Group:
+class RowGroup:
     """Rows of a table of an artifact that become one row group, with their approximate size; `clip` names a clip."""
 
     table: str
@@ -62,7 +62,7 @@ class Contents:
 
     dataset: Dataset
     manifests: tuple[Manifest, ...]
-    groups: tuple[Group, ...]
+    groups: tuple[RowGroup, ...]
     sides: Mapping[str, Side]
     left_out: tuple[str, ...]
 
@@ -118,7 +118,7 @@ def find_contents(
     sides = take_sides(dict(sorted({take.take_id: take.is_held_out for take in takes}.items())), known=known)
     tested = {(stage, digest) for stage, _, digest in held_out(store, dataset.refs)}
     manifests: list[Manifest] = []
-    groups: list[Group] = []
+    groups: list[RowGroup] = []
     for manifest in kept:
         split = _side_of(manifest, sides, is_held_out=(manifest.ref.stage, manifest.ref.content_digest) in tested)
         rows = _kept_rows(store, manifest, rejected)
@@ -143,7 +143,7 @@ def find_contents(
     return Contents(shared, tuple(manifests), tuple(groups), sides, tuple(words))
 
 
-def cut(batches: Iterable[Any], groups: Sequence[Group]) -> Iterator[Any]:
+def cut(batches: Iterable[Any], groups: Sequence[RowGroup]) -> Iterator[Any]:
     """Yield the rows of each group, in rising order, from consecutive batches of rows (`pyarrow.Table`)."""
     coming, held, first = iter(batches), None, 0
     for group in groups:
@@ -230,7 +230,7 @@ def _ranges(batches: Iterable[Any], names: Collection[str]) -> Ranges:
     return tuple((int(rows[a]), int(rows[b - 1]) + 1) for a, b in pairwise(breaks) if b > a)
 
 
-def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: SplitName) -> Iterator[Group]:
+def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: SplitName) -> Iterator[RowGroup]:
     """Yield the row groups of a table of an artifact: one for each clip, else pieces of its rows."""
     part = manifest.tables[table]
     each = part.bytes / max(part.rows, 1)
@@ -238,7 +238,7 @@ def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: S
         names = _variant_ids(store, manifest)
         for variant in rows:
             size = variant[1] - variant[0]
-            yield Group(table, split, manifest.ref, (variant,), each * size, names[variant[0] // size])
+            yield RowGroup(table, split, manifest.ref, (variant,), each * size, names[variant[0] // size])
         return
     clip = TakeFacts.of(manifest).take_id if table == "poses" else ""
     most = part.rows if clip else ROW_GROUP_ROWS
@@ -249,10 +249,10 @@ def _groups(store: Store, manifest: Manifest, table: str, rows: Ranges, split: S
             group.append((start, min(stop, start + room)))
             start = group[-1][1]
             if sum(b - a for a, b in group) == most:
-                yield Group(table, split, manifest.ref, tuple(group), each * most, clip)
+                yield RowGroup(table, split, manifest.ref, tuple(group), each * most, clip)
                 group = []
     if group:
-        yield Group(table, split, manifest.ref, tuple(group), each * sum(b - a for a, b in group), clip)
+        yield RowGroup(table, split, manifest.ref, tuple(group), each * sum(b - a for a, b in group), clip)
 
 
 def _as_it_leaves(

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from flows.dataset_folder.layout import FolderFile
 from storage_schema import TABLES, Dataset
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.columns import Column
 
 _TEMPLATES = files("flows.templates")
@@ -83,9 +83,9 @@ def _record_set(table: str) -> dict[str, Any]:
 
 def _field(table: str, column: Column) -> dict[str, Any]:
     kind = column_kind(column)
-    shape: Sequence[int] = column.shape if kind is Kind.FIXED else (-1,)
+    shape: Sequence[int] = column.shape if kind is ColumnKind.FIXED else (-1,)
     axes = f" ({' x '.join(map(str, column.shape))}: {', '.join(column.axes)})" if column.shape else ""
-    is_array = kind in (Kind.FIXED, Kind.VARYING, Kind.TEXT_LIST)
+    is_array = kind in (ColumnKind.FIXED, ColumnKind.VARYING, ColumnKind.TEXT_LIST)
     return {
         "@type": "cr:Field",
         "@id": f"{table}-rows/{column.name}",

@@ -26,7 +26,7 @@ from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import WORKING_SKELETONS
 from pasdedeux.spread import evenly_spread
 from storage_schema import TABLES, Dataset, Manifest, Store
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.columns import Column
 from storage_schema.datasets import DATASET_FILE
 from storage_schema.durable import make_folder, write_file
@@ -182,8 +182,8 @@ def _info(table: str, files: Mapping[str, list[FolderFile]]) -> dict[str, Any]:
 def _feature(column: Column) -> dict[str, Any]:
     kind = str(value_type(column))
     kind = {"float": "float32", "double": "float64"}.get(kind, kind)
-    if column_kind(column) in (Kind.FIXED, Kind.VARYING, Kind.TEXT_LIST):
-        length = {"length": column.type.list_size} if column_kind(column) is Kind.FIXED else {}
+    if column_kind(column) in (ColumnKind.FIXED, ColumnKind.VARYING, ColumnKind.TEXT_LIST):
+        length = {"length": column.type.list_size} if column_kind(column) is ColumnKind.FIXED else {}
         return {"name": column.name, "list": kind, **length}
     return {"name": column.name, "dtype": kind}
 

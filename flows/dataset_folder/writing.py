@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from flows.dataset_folder.contents import Contents, Group, cut, find_contents
+from flows.dataset_folder.contents import Contents, RowGroup, cut, find_contents
 from flows.dataset_folder.describing import describe
 from flows.dataset_folder.layout import MANIFEST, FolderFile, FolderManifest, PartKey, read_manifest, read_sides
 from flows.dataset_folder.statistics import contact_figures, figures_of_motions
@@ -59,7 +59,7 @@ class DataFile:
     """A data file: its name, its row groups, and its previous name if the folder has it already."""
 
     name: str
-    groups: tuple[Group, ...]
+    groups: tuple[RowGroup, ...]
     before: str = ""
 
     @property
@@ -140,13 +140,13 @@ def _alone(out: Path) -> Iterator[None]:
 
 def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFile]:
     """Divide row groups into files: earlier files whose groups all remain, then new ones of 100 MB."""
-    places = defaultdict[tuple[str, str], dict[PartKey, Group]](dict)
+    places = defaultdict[tuple[str, str], dict[PartKey, RowGroup]](dict)
     for group in contents.groups:
         places[group.table, group.split][key_of(group)] = group
         if group.table in _MOTIONS:
             num_bytes = _CONTACT_BYTES * group.num_rows
             rows = () if group.table == "poses" else group.rows
-            made = Group("contacts", group.split, group.ref, rows, num_bytes, group.clip)
+            made = RowGroup("contacts", group.split, group.ref, rows, num_bytes, group.clip)
             places["contacts", group.split][key_of(made)] = made
     files = []
     for (table, split), in_table in sorted(places.items()):
@@ -172,7 +172,7 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
     return files
 
 
-def key_of(group: Group) -> PartKey:
+def key_of(group: RowGroup) -> PartKey:
     """Return the origin of a row group."""
     return group.ref.stage, group.ref.content_digest, group.rows
 
@@ -277,7 +277,7 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
     sync_folder(path.parent)
 
 
-def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[Group]) -> Iterator[Any]:
+def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[RowGroup]) -> Iterator[Any]:
     """Yield the contacts of a take as rows, or for each variant those of its take, measured in the variant."""
     manifest = store.manifest(ref)
     if "variants" not in manifest.tables:

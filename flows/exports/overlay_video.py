@@ -64,7 +64,7 @@ def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
 
     given_px, is_given, size, placed_hz = _annotation(export.store, cast, seen)
     blank = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
-    frames = (lambda _: blank) if export.footage is None else Footage(export.footage, placed_hz)
+    frames = (lambda _: blank) if export.footage is None else FilmImages(export.footage, placed_hz)
     bodies: list[Body | None] = []
     for at, frame in enumerate(seen.frames):
         image, people_m = frames(frame).copy(), seen.positions_m[at]
@@ -160,7 +160,7 @@ def _annotation(store: Store, cast: Cast, seen: SeenCast) -> tuple[Array, Flags,
     return given, is_given, (max(size[0], 64), max(size[1], 64)), placed_hz
 
 
-class Footage:
+class FilmImages:
     """The images of a film by the frames of its annotations; read as a stream, with seeks to earlier frames.
 
     Args:

@@ -62,7 +62,7 @@ class WrittenReconstruction:
 
 
 @dataclass(frozen=True)
-class Footage:
+class CameraData:
     """Further data of a camera beside its keypoints.
 
     Args:
@@ -87,7 +87,7 @@ def write_reconstruction(
     out: Path,
     *,
     units: str,
-    footage: Sequence[Footage] = (Footage(),),
+    footage: Sequence[CameraData] = (CameraData(),),
     cameras: Sequence[SeenBy] = (),
 ) -> WrittenReconstruction:
     """Write the files of one sequence; those of an earlier call are replaced.
@@ -151,7 +151,7 @@ def write_reconstruction(
     return WrittenReconstruction(rows, decisions, page)
 
 
-def _steady_facts(cameras: Sequence[SeenBy], footage: Sequence[Footage], frames: Integers) -> dict[str, Array]:
+def _steady_facts(cameras: Sequence[SeenBy], footage: Sequence[CameraData], frames: Integers) -> dict[str, Array]:
     """Return the homographies to the steady images at frames of the first camera, if a camera moves.
 
     They are `steady_from_image` (frame, 3, 3) of the first camera and, of several, `cameras_steady_from_image`
@@ -189,7 +189,7 @@ def _glb(people: ReconstructedPeople, cameras: Sequence[SeenBy]) -> bytes:
 
 
 def _over_film(
-    people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot: Footage, film: FoundFilm
+    people: ReconstructedPeople, placed_m: Array, seen: SeenBy, shot: CameraData, film: FoundFilm
 ) -> tuple[list[Image], float]:
     """Draw the reconstruction over images from the middle of a film, faces blurred; return them with their rate.
 

@@ -10,7 +10,7 @@ import numpy as np
 from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.scene import Scene
-from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf, moment_reference
+from flows.viewing.shelf import SINGLE_IMAGES, Item, Shelf, ViewedPartition, moment_reference
 from tasks.files.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Moment:
     """A frame of an item of a part."""
 
-    part: Part
+    part: ViewedPartition
     item: Item
     scene: Scene
     frame: int
@@ -130,7 +130,7 @@ class Curation:
             lines.append(f"frames {start} to {end} {choice.words}")
         return lines
 
-    def of_item(self, part: Part, item: Item) -> str:
+    def of_item(self, part: ViewedPartition, item: Item) -> str:
         """Return the choice on an item in one word; empty if its frames are chosen one by one."""
         if is_each_frame(part, item):
             return ""
@@ -149,12 +149,14 @@ class Curation:
         return self.choosing.clips(moment.part.table, "/".join(moment.item.names))
 
 
-def is_each_frame(part: Part, item: Item) -> bool:
+def is_each_frame(part: ViewedPartition, item: Item) -> bool:
     """Return whether frames of an item are accepted or rejected one by one."""
     return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
 
 
-def thing_of(shelf: Shelf, part: Part, item: Item, row: int, clip: tuple[int, int] | None = None) -> tuple[str, str]:
+def thing_of(
+    shelf: Shelf, part: ViewedPartition, item: Item, row: int, clip: tuple[int, int] | None = None
+) -> tuple[str, str]:
     """Return name and content that a choice at a row of an item applies to; the item may hold more.
 
     Args:

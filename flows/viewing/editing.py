@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flows.viewing.kinds import IMAGE_HEIGHT_M, KINDS, placed_in_room
-from flows.viewing.shelf import Part
+from flows.viewing.shelf import ViewedPartition
 from flows.viewing.side import Dragged
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
@@ -265,7 +265,7 @@ class Editor:
                 if seed in names:
                     refs_by_stage.setdefault(f"restart {Path(seed).stem} {manifest.partition}", []).append(manifest.ref)
         with viewer.lock:
-            new = [Part("draws", name, tuple(refs)) for name, refs in refs_by_stage.items()]
+            new = [ViewedPartition("draws", name, tuple(refs)) for name, refs in refs_by_stage.items()]
             if set(new) - set(viewer.shelf.parts):
                 viewer.shelf.parts = [part for part in viewer.shelf.parts if part.name not in refs_by_stage] + new
                 viewer.shown.offer_parts(viewer.shelf.parts, viewer.part)

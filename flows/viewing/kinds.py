@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from flows.viewing.scene import Flat, Grid, People, Scene
-from flows.viewing.seen import LIMBS22, Seen, size_of
-from flows.viewing.shelf import SINGLE_IMAGES, Item, Part, Shelf
+from flows.viewing.seen import LIMBS22, SequenceFootage, size_of
+from flows.viewing.shelf import SINGLE_IMAGES, Item, Shelf, ViewedPartition
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.retrieval import nearest_images
@@ -41,7 +41,7 @@ _LEVELS = {"pass": 0, "warn": 1, "fail": 2}
 
 
 @dataclass(frozen=True)
-class Kind:
+class TableView:
     """A table with people.
 
     Args:
@@ -50,12 +50,12 @@ class Kind:
         is_each: Whether each row is accepted or rejected on its own: draws, seeds, lifted pairs.
     """
 
-    scene: Callable[[Shelf, Part, Item], Scene]
+    scene: Callable[[Shelf, ViewedPartition, Item], Scene]
     quality: str = ""
     is_each: bool = False
 
 
-def _take(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _take(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     if (scene := shelf.scenes.get(item.pieces[0][0])) is not None:
         return scene
     data = item.read(shelf.store, "poses", ["person", "frame", "time_s", "body22_m"])
@@ -66,7 +66,7 @@ def _take(shelf: Shelf, part: Part, item: Item) -> Scene:
     return Scene(people, grid.frame_of_row, rate_of(data["time_s"]), ends_m=ends, radii_m=radii)
 
 
-def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _variant(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     store, (take_id, variant_id) = shelf.store, item.names
     data = item.read(store, "variants", ["frame", "person", "time_s", "body22_m"])
     grid = Grid.of(data["frame"], data["person"])
@@ -86,14 +86,14 @@ def _variant(shelf: Shelf, part: Part, item: Item) -> Scene:
     )
 
 
-def _motion(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _motion(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     store, sequence_id = shelf.store, item.names[0]
     columns = ["person_id", "frame", "time_s", "body22_m", "op14_m", "score_m", "match_take_id", "match_frame"]
     data = item.read(store, "motions", columns)
     grid = Grid.of(data["frame"], data["person_id"])
     shown = grid.fill(data["body22_m"])
     matches = grid.first(data["match_take_id"]), grid.first(data["match_frame"])
-    seen = Seen.of(shelf, sequence_id)
+    seen = SequenceFootage.of(shelf, sequence_id)
     truth = seen.truth(grid.frames, grid.persons, "body22_m")
     manifest = store.manifest(item.pieces[0][0])
     facts = MotionFacts.of(manifest)
@@ -167,7 +167,7 @@ def _database(store: Store, ref: ArtifactRef) -> tuple[Database, ProjectionIndex
     return thin, build_index(thin), takes[::step], frames[::step]
 
 
-def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _sequence(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     columns = ["sequence_id", "frame", "person_id", "time_s", "pair17_px", "image_width_px", "image_height_px"]
     data = item.read(shelf.store, "annotations", columns)
     moments = np.unique(np.stack([data["sequence_id"].astype(str), data["frame"].astype(str)]), axis=1)
@@ -178,12 +178,12 @@ def _sequence(shelf: Shelf, part: Part, item: Item) -> Scene:
     image_px = grid.fill(_corrected_px(shelf, item, data))
     size = size_of(data["image_width_px"][0], data["image_height_px"][0], image_px)
     names, frames = grid.first(data["sequence_id"]), np.asarray(grid.first(data["frame"]))
-    seen = Seen.of(shelf, str(data["sequence_id"][0]))
+    seen = SequenceFootage.of(shelf, str(data["sequence_id"][0]))
     truth = None if is_single else seen.truth(grid.frames, grid.persons, "body22_m", in_world=True)
     image = People(PAIR17, np.insert(placed_in_room(image_px, size), 2, 0.0, axis=-1))
 
-    def seen_at(frame: int) -> Seen:
-        return Seen.of(shelf, str(names[frame])) if is_single else seen
+    def seen_at(frame: int) -> SequenceFootage:
+        return SequenceFootage.of(shelf, str(names[frame])) if is_single else seen
 
     def images(frame: int) -> list[Flat]:
         image = seen_at(frame).image(frames[frame])
@@ -219,7 +219,7 @@ def placed_in_room(points_px: Array, size_px: tuple[int, int]) -> Array:
     return np.asarray((points_px - [size_px[0] / 2, size_px[1]]) * [1.0, -1.0] * IMAGE_HEIGHT_M / size_px[1])
 
 
-def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[Any, People, Integers]:
+def _pairs(shelf: Shelf, part: ViewedPartition, item: Item, columns: list[str]) -> tuple[Any, People, Integers]:
     data = item.read(shelf.store, part.table, columns)
     pairs: Any = np.empty((data.num_rows, 2, PAIR17.num_joints, 3), dtype=np.float32)
     rows = 0
@@ -230,7 +230,7 @@ def _pairs(shelf: Shelf, part: Part, item: Item, columns: list[str]) -> tuple[An
     return data, People(PAIR17, pairs), np.arange(data.num_rows)
 
 
-def _seeds(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _seeds(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     data, people, rows = _pairs(shelf, part, item, ["seed_index", "take_id", "sequence_id", "made_from", "log_prior"])
 
     def say(frame: int) -> list[str]:
@@ -240,7 +240,7 @@ def _seeds(shelf: Shelf, part: Part, item: Item) -> Scene:
     return Scene(people, rows, curves={"log_prior": data["log_prior"]}, say=say, has_floor=False)
 
 
-def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _draws(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     terms = ["log_density", "log_prior", "log_likelihood"]
     names = [*terms, "sequence_id", "sequence_frame", "view", "dissimilarity_m", "num_accepted"]
     data, people, rows = _pairs(shelf, part, item, names)
@@ -281,13 +281,13 @@ def _draws(shelf: Shelf, part: Part, item: Item) -> Scene:
     return Scene(people, rows, curves=curves, others=chains, say=say, images=images, has_floor=False)
 
 
-def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _lifted(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     columns = [*PairPlace._fields, "residual_m", "expected_error_m", "num_joints_seen", "draw"]
     data, people, rows = _pairs(shelf, part, item, columns)
     places = [place_of(data, row) for row in range(data.num_rows)]
     truths = np.full(people.positions_m.shape, np.nan)
     for row, place in enumerate(places):
-        seen = Seen.of(shelf, place.sequence_id)
+        seen = SequenceFootage.of(shelf, place.sequence_id)
         truth = seen.truth(np.array([place.frame]), np.array([place.person_id, place.partner_id]), "pair17_m")
         if truth is not None:
             truths[row] = truth[0] - truth[0].reshape(-1, 3).mean(axis=0)
@@ -304,27 +304,27 @@ def _lifted(shelf: Shelf, part: Part, item: Item) -> Scene:
         behind_name="capture",
         curves={name: data[name] for name in ("expected_error_m", "residual_m")},
         say=say,
-        images=lambda frame: Seen.of(shelf, places[frame].sequence_id).flats(
+        images=lambda frame: SequenceFootage.of(shelf, places[frame].sequence_id).flats(
             places[frame].frame, places[frame].sequence_id
         ),
         has_floor=False,
     )
 
 
-def _between(shelf: Shelf, part: Part, item: Item) -> Scene:
+def _between(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     data, people, rows = _pairs(shelf, part, item, ["frame"])
     return Scene(people, rows, say=lambda frame: [f"frame {data['frame'][frame]}"], has_floor=False)
 
 
-KINDS: Mapping[str, Kind] = {
-    "variants": Kind(_variant, "variant_quality"),
-    "poses": Kind(_take, "take_quality"),
-    "motions": Kind(_motion),
-    "lifted_pairs": Kind(_lifted, is_each=True),
-    "draws": Kind(_draws, "chain_info", is_each=True),
-    "seeds": Kind(_seeds, is_each=True),
-    "annotations": Kind(_sequence),
-    "in_betweens": Kind(_between),
+KINDS: Mapping[str, TableView] = {
+    "variants": TableView(_variant, "variant_quality"),
+    "poses": TableView(_take, "take_quality"),
+    "motions": TableView(_motion),
+    "lifted_pairs": TableView(_lifted, is_each=True),
+    "draws": TableView(_draws, "chain_info", is_each=True),
+    "seeds": TableView(_seeds, is_each=True),
+    "annotations": TableView(_sequence),
+    "in_betweens": TableView(_between),
 }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from flows.viewing.curating import Curation
 from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel, set_value
-from flows.viewing.shelf import GROUPS, Item, Part, Shelf
+from flows.viewing.shelf import GROUPS, Item, Shelf, ViewedPartition
 from pasdedeux.evaluation.shown_figures import figure_label, figure_words
 from pasdedeux.verdict import Level
 from tasks.files.curation import UNDECIDED
@@ -38,7 +38,7 @@ class Listing:
         self.order: list[int] = []
         """Numbers of the listed items."""
 
-    def show(self, part: Part, kept: int) -> None:
+    def show(self, part: ViewedPartition, kept: int) -> None:
         """List the items of another part; `kept` is listed in any case."""
         self._part, self._figures = part, qualities(self._shelf, part)
         first = next(iter(self._figures.values()), {})
@@ -88,7 +88,7 @@ class Listing:
         return self._curation.of_item(self._part, self.items[index])
 
 
-def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]:
+def qualities(shelf: Shelf, part: ViewedPartition) -> dict[tuple[str, ...], dict[str, Any]]:
     """Return the figures of each item of a part by the item's names; of several people those of the worst."""
     table = KINDS[part.table].quality
     quality_rows: dict[tuple[str, ...], dict[str, Any]] = {}
@@ -102,7 +102,7 @@ def qualities(shelf: Shelf, part: Part) -> dict[tuple[str, ...], dict[str, Any]]
     return quality_rows
 
 
-def _is_figure(part: Part, name: str, value: Any) -> bool:
+def _is_figure(part: ViewedPartition, name: str, value: Any) -> bool:
     """Return whether a column of figures is a number and no identifier."""
     is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool | np.bool_)
     return is_number and name not in {*GROUPS[part.table], "person"}

@@ -33,7 +33,7 @@ LIMBS17, LIMBS22 = ([skeleton.index(name) for name in _LIMBS] for skeleton in (P
 
 
 @dataclass(frozen=True)
-class Seen:
+class SequenceFootage:
     """The footage of a sequence: annotated people by place, the camera of virtual video and its take."""
 
     store: Store
@@ -42,7 +42,7 @@ class Seen:
     film: FilmReader | None = None
 
     @classmethod
-    def of(cls, shelf: Shelf, sequence_id: str) -> Seen:
+    def of(cls, shelf: Shelf, sequence_id: str) -> SequenceFootage:
         """Find it among the annotations at hand."""
         for ref in shelf.having("annotations"):
             if sequence_id in SequenceFacts.of(shelf.store.manifest(ref)).sequence_ids:

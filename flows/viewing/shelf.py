@@ -43,7 +43,7 @@ _STILLS = 3
 
 
 @dataclass(frozen=True)
-class Part:
+class ViewedPartition:
     """A partition of a table."""
 
     table: str
@@ -89,7 +89,7 @@ class Item:
 class Found(NamedTuple):
     """A place: the part, the number of the item in it, and the row of the item."""
 
-    part: Part
+    part: ViewedPartition
     item: int
     row: int
 
@@ -130,10 +130,10 @@ class Shelf:
                     refs_by_item.setdefault((table, manifest.partition), []).append(ref)
         order = list(GROUPS)
         places = sorted(refs_by_item, key=lambda place: order.index(place[0]))
-        self.parts = [Part(*place, tuple(refs_by_item[place])) for place in places]
+        self.parts = [ViewedPartition(*place, tuple(refs_by_item[place])) for place in places]
         self.items = lru_cache(maxsize=8)(self._items)
 
-    def _items(self, part: Part) -> list[Item]:
+    def _items(self, part: ViewedPartition) -> list[Item]:
         """Return the items of a part, from the grouping columns alone."""
         columns = GROUPS[part.table]
         rows_by_item: dict[tuple[str, ...], list[tuple[ArtifactRef, Integers]]] = {}
@@ -225,7 +225,7 @@ def _label(columns: Sequence[str], names: Sequence[str]) -> str:
     return " ".join(words)
 
 
-def moment_reference(part: Part, item: Item, row: int) -> str:
+def moment_reference(part: ViewedPartition, item: Item, row: int) -> str:
     """Return the reference of a row of an item by the artifact's content, which outlives runs and keys."""
     ref, at = item.row(row)
     return f"{part.table}@{ref.content_digest[:16]}#{at}"

@@ -14,7 +14,7 @@ from flows.viewing.panel import Panel, set_value
 from flows.viewing.room import COMPARE, MOST_BESIDE, VIEWS
 from flows.viewing.scene import Scene
 from flows.viewing.server import STRIP_LEFT_PX
-from flows.viewing.shelf import Part
+from flows.viewing.shelf import ViewedPartition
 from flows.viewing.side import SidePicture, flat_picture
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class ShownPane:
         panel.bind("Next item", "arrowdown", lambda _: viewer.step_item(1))
         return pane
 
-    def offer_parts(self, parts: list[Part], shown: Part) -> None:
+    def offer_parts(self, parts: list[ViewedPartition], shown: ViewedPartition) -> None:
         """Offer the parts of the shelf."""
         self.part.options = tuple(map(part_label, parts))
         set_value(self.part, part_label(shown))
@@ -121,6 +121,6 @@ class ShownPane:
         self.timeline.max = max(scene.num_frames - 1, 1)
 
 
-def part_label(part: Part) -> str:
+def part_label(part: ViewedPartition) -> str:
     """Return the name of a part, with its table."""
     return f"{part.table.replace('_', ' ')}: {part.name}"

@@ -48,7 +48,7 @@ class Dragged:
 
 
 @dataclass(frozen=True)
-class Panel:
+class PicturePanel:
     """Place of the image of 2D poses in the picture: corner, size, and scale."""
 
     corner: Array
@@ -56,7 +56,7 @@ class Panel:
     scale: float
 
     @classmethod
-    def of(cls, flat: Flat, largest: tuple[int, int]) -> Panel:
+    def of(cls, flat: Flat, largest: tuple[int, int]) -> PicturePanel:
         """Return the panel of 2D poses, as large as fits below a title."""
         scale = min(largest[0] / flat.size_px[0], (largest[1] - _TITLE_PX) / flat.size_px[1])
         size = scale * np.array(flat.size_px)
@@ -112,7 +112,7 @@ class SidePicture:
             self._held = None
             return
         flat, size = self.flats[0], picture_size(self.flats)
-        panel = Panel.of(flat, size)
+        panel = PicturePanel.of(flat, size)
         height, width = self._handle.image.shape[:2]
         placed = np.array([pointer.across * width, pointer.down * height])
         if pointer.phase == "down":
@@ -123,7 +123,7 @@ class SidePicture:
             self._held = None
 
 
-def joint_at(flat: Flat, panel: Panel, placed: Array, reach: float) -> tuple[int, int] | None:
+def joint_at(flat: Flat, panel: PicturePanel, placed: Array, reach: float) -> tuple[int, int] | None:
     """Return person and joint nearest to a place of the picture; None if none is in reach."""
     away = np.linalg.norm(panel.place(flat.points_px) - placed, axis=-1)
     if not (np.nan_to_num(away, nan=np.inf) <= reach).any():
@@ -160,7 +160,7 @@ def _paper(size: tuple[int, int]) -> Any:
 
 def _drawn(flat: Flat, size: tuple[int, int]) -> Any:
     """Return a panel: the image or an empty frame, the bones of each person, and the title."""
-    panel, image = Panel.of(flat, size), _paper(size)
+    panel, image = PicturePanel.of(flat, size), _paper(size)
     (left, top), (right, bottom) = np.round(panel.corner).astype(int), np.round(panel.corner + panel.size).astype(int)
     seen = None if flat.image is None else flat.image()
     if seen is None:

@@ -25,7 +25,7 @@ from flows.viewing.saving import LinkPane
 from flows.viewing.scales import Scales
 from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
-from flows.viewing.shelf import Item, Part, Shelf, moment_in
+from flows.viewing.shelf import Item, Shelf, ViewedPartition, moment_in
 from flows.viewing.shown import MOST_FIGURES, ShownPane, part_label
 from flows.viewing.side import Pointer
 from pasdedeux.arrays import Array
@@ -50,7 +50,7 @@ class Viewer:
         self.shelf = shelf
         self.curation = Curation(shelf, choosing or Choosing(Path("curation.txt")))
         self.lock = threading.RLock()
-        self.part: Part = shelf.parts[0]
+        self.part: ViewedPartition = shelf.parts[0]
         self.index = self.frame = 0
         self.is_playing = False
         self.pose: Array | None = None
@@ -108,7 +108,7 @@ class Viewer:
         with self.lock:
             self.panel.safely(lambda _: self.show_part(*self.shelf.find(moment_in(text))))(None)
 
-    def show_part(self, part: Part, index: int = 0, row: int | None = None) -> None:
+    def show_part(self, part: ViewedPartition, index: int = 0, row: int | None = None) -> None:
         """Show an item of a part at one of its rows; nothing changes if it cannot be read."""
         with self.lock:
             scene = self._read(part, index)
@@ -128,7 +128,7 @@ class Viewer:
         self._show_scene(scene, row)
         pyarrow.default_memory_pool().release_unused()  # else it keeps the memory of the last item
 
-    def _read(self, part: Part, index: int) -> Scene:
+    def _read(self, part: ViewedPartition, index: int) -> Scene:
         scene = KINDS[part.table].scene(self.shelf, part, self.shelf.items(part)[index])
         if self.wants_flat and scene.flat:
             return replace(scene, people=scene.flat, camera=None)

@@ -42,7 +42,7 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
     """
     frames, count, _ = positions_m.shape
     shown_frames = min(frames, _MAX_FRAMES)
-    point = _Group(1, "POINT")
+    point = _ParameterGroup(1, "POINT")
     point.add("USED", np.array([count], "<i2"))
     point.add("FRAMES", np.array([shown_frames], "<u2").view("<i2"))
     point.add("LONG_FRAMES", np.array([frames], "<f4"))
@@ -55,7 +55,7 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
     for at in range(0, count, _PER_LIST):
         point.add(f"LABELS{at // _PER_LIST + 1 if at else ''}", list(labels[at : at + _PER_LIST]))
     point.add("DESCRIPTIONS", ["joint"] * min(count, _PER_LIST))
-    analog, own_group = _Group(2, "ANALOG"), _Group(3, "PASDEDEUX")
+    analog, own_group = _ParameterGroup(2, "ANALOG"), _ParameterGroup(3, "PASDEDEUX")
     analog.add("USED", np.array([0], "<i2"))
     analog.add("RATE", np.array([0.0], "<f4"))
     for name, text in facts.items():
@@ -74,7 +74,7 @@ def write_c3d(positions_m: Array, labels: Sequence[str], *, rate_hz: float, fact
     return bytes(header) + bytes(parameters) + body + bytes(-len(body) % _BLOCK)
 
 
-class _Group:
+class _ParameterGroup:
     """A group of parameters while it is written."""
 
     def __init__(self, number: int, name: str) -> None:

@@ -154,7 +154,7 @@ class Reliability:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlaceReliability:
     """Quality of the place of one person relative to the other, estimated without ground truth.
 
     Args:
@@ -196,7 +196,7 @@ class Judged:
     """People of a sequence by id, and couples by both ids."""
 
     people: Mapping[int, Reliability]
-    places: Mapping[tuple[int, int], Place]
+    places: Mapping[tuple[int, int], PlaceReliability]
 
     @property
     def verdicts(self) -> dict[str, Verdict]:
@@ -255,7 +255,7 @@ def judge_tracks(
         factor = max(at_edge, _OTHERWISE if name in people.otherwise else 1.0) * (_SIZED if people.has_stature else 1.0)
         expected_m = min(factor * reliability.expected_error_m, _MAX_EXPECTED_M)
         judged[name] = replace(reliability, expected_error_m=expected_m, is_moved=bool(moved))
-    places: dict[tuple[int, int], Place] = {}
+    places: dict[tuple[int, int], PlaceReliability] = {}
     between = {} if people.scene is None else people.scene.place_deviation_m
     for numbers, deviation_m in between.items():
         first, second = (made[number] for number in numbers)
@@ -320,13 +320,13 @@ def judge_person(
     )
 
 
-def _judge_place(deviation_m: float, expected_m: float, doubts: tuple[str, ...]) -> Place:
+def _judge_place(deviation_m: float, expected_m: float, doubts: tuple[str, ...]) -> PlaceReliability:
     """Judge the place of two people by its deviation and, if known, the expected error of their poses."""
     if not math.isfinite(expected_m):
-        return Place(deviation_m, doubts)
+        return PlaceReliability(deviation_m, doubts)
     evidence = np.array([1.0, np.log(deviation_m * math.sqrt(expected_m))])
     expected = float(np.minimum(np.exp(_PLACE_WEIGHTS @ evidence), _MAX_EXPECTED_PLACE_M))
-    return Place(expected, doubts, evidence=evidence)
+    return PlaceReliability(expected, doubts, evidence=evidence)
 
 
 def left_out_misfit_m(database: Database, index: ProjectionIndex, motion: npt.NDArray[np.object_]) -> float:

@@ -97,7 +97,7 @@ def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
     return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
 
 
-class _Part(NamedTuple):
+class _ArtifactPairs(NamedTuple):
     """Pairs of an artifact: its reference, number of the first draw in its chain, whether annotations shaped them."""
 
     ref: str
@@ -106,21 +106,21 @@ class _Part(NamedTuple):
     knows_annotations: bool
 
 
-def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[_Part]]:
+def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[_ArtifactPairs]]:
     """Return the pairs of every artifact, by density in order."""
-    parts: dict[str, list[_Part]] = {}
+    parts: dict[str, list[_ArtifactPairs]] = {}
     for ref in refs:
         manifest = store.manifest(ref)
         name, table = density_of(manifest), "draws" if "draws" in manifest.tables else "seeds"
         start = (facts := DrawFacts.of(manifest)).segment * facts.num_draws if table == "draws" else 0
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
-            part = _Part(reference_to(table, ref), start, pairs, knows_annotations(manifest))
+            part = _ArtifactPairs(reference_to(table, ref), start, pairs, knows_annotations(manifest))
             parts.setdefault(name, []).append(part)
     return dict(sorted(parts.items()))
 
 
-def _join(name: str, parts: Sequence[_Part]) -> DrawSet:
+def _join(name: str, parts: Sequence[_ArtifactPairs]) -> DrawSet:
     """Return the draws of several artifacts, each with its reference, as one set."""
     counts = [len(part.pairs_m) for part in parts]
     return DrawSet(

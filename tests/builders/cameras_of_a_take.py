@@ -29,7 +29,7 @@ STEPS = 4
 
 
 @dataclass(frozen=True)
-class Seen:
+class FilmedCamera:
     """A camera, its clock and its tracks.
 
     Args:
@@ -60,7 +60,7 @@ def see(
     noise_px: float = 2.0,
     rate_hz: float = RATE_HZ,
     seed: int = 0,
-) -> list[Seen]:
+) -> list[FilmedCamera]:
     """Return what cameras at some yaws see of a truth (moment, person, 14, 3), each from another moment on.
 
     The second camera has other numbers for the people.
@@ -83,7 +83,7 @@ def see(
         order = ids if number != 1 else ids[::-1]
         lens = Lens.assumed(*SIZE_PX, px)
         tracks = [Track(px[:, at], np.ones((*px.shape[:1], 14)), rate_hz, lens, name) for at, name in enumerate(order)]
-        seen.append(Seen(camera, -late[number] / (STEPS * rate_hz), tracks))
+        seen.append(FilmedCamera(camera, -late[number] / (STEPS * rate_hz), tracks))
     return seen
 
 
@@ -96,7 +96,7 @@ def database_of_duets(*names: str) -> SearchedDatabase:
 
 
 def errors_m(
-    people: tuple[ReconstructedTrack, ...], truth_m: np.ndarray, seen: Seen, *, has_best_scale: bool = False
+    people: tuple[ReconstructedTrack, ...], truth_m: np.ndarray, seen: FilmedCamera, *, has_best_scale: bool = False
 ) -> tuple[float, float]:
     """Return the mean error of joints about the mid-hip, and of the vector from one mid-hip to the other.
 
@@ -118,7 +118,7 @@ def errors_m(
     return float(np.mean(off)), float(np.linalg.norm(scale * apart - true_apart, axis=-1).mean())
 
 
-def known_lens(seen: Seen) -> Seen:
+def known_lens(seen: FilmedCamera) -> FilmedCamera:
     """Return the same with the lens known."""
     x, y = seen.camera.principal_point_px
     lens = Lens(seen.camera.focal_px, (float(x), float(y)), is_known=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from storage_schema import TABLES, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.columns import Table
 
 MADE_UP = SourceCredit("made up", "CC0", "made up for tests")
@@ -25,14 +25,14 @@ def random_columns(table: str | Table, num_rows: int, seed: int = 0) -> dict[str
 
 def _values(column: Any, num_rows: int, rng: np.random.Generator) -> Any:
     kind = column_kind(column)
-    if kind is Kind.TEXT:
+    if kind is ColumnKind.TEXT:
         texts = rng.choice(_WORDS, num_rows).tolist()
         return [None if column.is_nullable and rng.random() < 0.3 else text for text in texts]
-    if kind is Kind.TEXT_LIST:
+    if kind is ColumnKind.TEXT_LIST:
         return [rng.choice(_WORDS, rng.integers(0, 4)).tolist() for _ in range(num_rows)]
-    if kind is Kind.FIXED:
+    if kind is ColumnKind.FIXED:
         return _numbers(value_type(column), (num_rows, *column.shape), rng)
-    if kind is Kind.VARYING:
+    if kind is ColumnKind.VARYING:
         return [_numbers(value_type(column), (int(rng.integers(0, 9)),), rng) for _ in range(num_rows)]
     numbers = _numbers(value_type(column), (num_rows,), rng)
     if column.is_nullable:

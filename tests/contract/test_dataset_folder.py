@@ -21,7 +21,7 @@ from huggingface_hub import DatasetCard
 
 from flows.console.app import run_command_line
 from flows.dataset_folder import read_folder, write_folder
-from flows.dataset_folder.contents import Group, _without
+from flows.dataset_folder.contents import RowGroup, _without
 from flows.dataset_folder.layout import read_manifest
 from flows.dataset_folder.writing import plan_files
 from flows.planning import PlanError
@@ -340,7 +340,7 @@ def test_what_stays_here_is_in_no_list_and_under_no_key_of_what_leaves() -> None
 def test_a_data_file_is_full_at_a_hundred_megabytes() -> None:
     ref = ArtifactRef("chains", "a" * 64, "b" * 64)
     sizes = [60e6, 39_999_999, 1, 2, 100e6, 1]
-    groups = [Group("draws", "train", ref, ((at, at + 1),), int(size), "") for at, size in enumerate(sizes)]
+    groups = [RowGroup("draws", "train", ref, ((at, at + 1),), int(size), "") for at, size in enumerate(sizes)]
     files = plan_files(SimpleNamespace(groups=groups), None)  # type: ignore[arg-type]
     assert [[group.num_bytes for group in file.groups] for file in files] == [
         [60_000_000, 39_999_999, 1],

@@ -28,7 +28,7 @@ from flows.exports import EXPORT_FORMATS, Export, export_format, export_referenc
 from flows.exports.casts import casts
 from flows.exports.credits import add_notice
 from flows.exports.export_format import FileNames
-from flows.exports.overlay_video import Footage, _laid_on
+from flows.exports.overlay_video import FilmImages, _laid_on
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.formats.bvh import read_bvh
@@ -603,7 +603,7 @@ def test_a_result_is_drawn_on_the_footage_that_is_named(store: Store, tmp_path: 
         export_reference(store, text, "mp4", tmp_path / "out", footage=tmp_path / "notes.txt")
 
 
-def level_at(footage: Footage, frame: int) -> int:
+def level_at(footage: FilmImages, frame: int) -> int:
     """Return the frame of a film of `levels` that an image is."""
     return round(float(np.median(footage(frame))) / 20)
 
@@ -611,20 +611,20 @@ def level_at(footage: Footage, frame: int) -> int:
 def test_footage_is_read_by_the_frames_of_its_annotations(tmp_path: Path) -> None:
     images = [np.full((48, 64, 3), 20 * at, np.uint8) for at in range(12)]
     film = write_film(tmp_path / "levels.mp4", iter(images))
-    assert [level_at(Footage(film), frame) for frame in (7, 8, 11)] == [7, 8, 11]
-    footage = Footage(film)
+    assert [level_at(FilmImages(film), frame) for frame in (7, 8, 11)] == [7, 8, 11]
+    footage = FilmImages(film)
     assert [level_at(footage, frame) for frame in (5, 2, 3)] == [5, 2, 3]
     folder = tmp_path / "images"
     folder.mkdir()
     for at, image in enumerate(images):
         cv2.imwrite(str(folder / f"img_{100 + at}.png"), image)
-    assert [level_at(Footage(folder), frame) for frame in (100, 111)] == [0, 11]
+    assert [level_at(FilmImages(folder), frame) for frame in (100, 111)] == [0, 11]
     with pytest.raises(InputError, match="footage images has no frame 99"):
-        Footage(folder)(99)
+        FilmImages(folder)(99)
     uneven = tmp_path / "uneven.mp4"
     uneven.write_bytes(with_durations(film.read_bytes(), [3 / 30, *[1 / 30] * 11]))
     # Ingest places such film on a constant rate: the first image is shown for three frames.
-    assert [level_at(Footage(uneven, 30.0), frame) for frame in (0, 1, 2, 3, 4, 13)] == [0, 0, 0, 1, 2, 11]
+    assert [level_at(FilmImages(uneven, 30.0), frame) for frame in (0, 1, 2, 3, 4, 13)] == [0, 0, 0, 1, 2, 11]
 
 
 def test_selected_pairs_leave_as_poses_those_of_doubtful_chains_apart(store: Store, tmp_path: Path) -> None:

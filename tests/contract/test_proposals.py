@@ -17,7 +17,7 @@ from pasdedeux.sampling.densities.density import Evaluation
 from pasdedeux.sampling.diagnostics import effective_sample_size
 from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES, PairChart, gauge_fix
 from pasdedeux.sampling.proposals import PROPOSALS
-from pasdedeux.sampling.proposals.blocks import Steps
+from pasdedeux.sampling.proposals.blocks import StepSizes
 from pasdedeux.sampling.proposals.proposal import Proposal, ProposalInputs
 from pasdedeux.sampling.speeds import Speeds
 from pasdedeux.sampling.warm_up import TARGET_ACCEPTANCE, warm_up
@@ -78,7 +78,7 @@ def proposal(name: str, **steps: float) -> Proposal:
     """A registered proposal with large steps of many blocks, as far as it has such."""
     large = {"root_rotation_rad": 0.2, "root_position_m": 0.7, "joint_rotation_rad": 0.12, "max_blocks": 34}
     built = PROPOSALS[name].init(ProposalInputs(CHART, nearest, speeds()))
-    return replace(built, steps=Steps(**{**large, **steps})) if hasattr(built, "steps") else built
+    return replace(built, steps=StepSizes(**{**large, **steps})) if hasattr(built, "steps") else built
 
 
 def without_ratio(right: Proposal) -> Propose:

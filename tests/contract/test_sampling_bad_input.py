@@ -16,7 +16,7 @@ from pasdedeux.formats.pair_file import PairFile, write_pair_json
 from pasdedeux.sampling.chain import proposal_from_json
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.proposals import PROPOSALS
-from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSizes
 from pasdedeux.sampling.proposals.proposal import ProposalKind
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
@@ -127,7 +127,7 @@ def test_a_chain_that_cannot_move_is_reported_as_stuck(tmp_path: Path, monkeypat
     annotations, views = put_annotations(store, "one")
     tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
     given = with_seeds(store, tables, num_seeds=1)
-    far = Steps(root_rotation_rad=3.0, root_position_m=9.0, joint_rotation_rad=3.0, max_blocks=34)
+    far = StepSizes(root_rotation_rad=3.0, root_position_m=9.0, joint_rotation_rad=3.0, max_blocks=34)
     monkeypatch.setitem(PROPOSALS, "unbiased", ProposalKind("unbiased", lambda _: GaussianBlocks(far)))
     planned = chains.plan(given, ChainsParameters(**{**QUICK, "num_chains": 1, "densities": ("ic",)}))
     made = run(planned, chains, store)

@@ -19,12 +19,12 @@ from tasks.evaluation.reconstruction import TOPIC
 from tasks.ingest.parameters import IngestParameters
 from tasks.reconstruction import ReconstructionParameters
 from tasks.stage import Parameters, StageInputs
-from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, Seen, calibrated, duet_m, see
+from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, FilmedCamera, calibrated, duet_m, see
 from tests.builders.ingest_runs import planned, run
 from tests.builders.rendered_film import write_film
 
 
-def write_camera(path: Path, seen: Seen) -> str:
+def write_camera(path: Path, seen: FilmedCamera) -> str:
     """Write what a camera sees as our CSV."""
     lines = [
         f"{frame},{track.person_id},{name},{x},{y}"
@@ -37,7 +37,7 @@ def write_camera(path: Path, seen: Seen) -> str:
     return str(path)
 
 
-def ingested(tmp_path: Path, seen: list[Seen], **first: str) -> tuple[Store, list[Manifest], list[Manifest]]:
+def ingested(tmp_path: Path, seen: list[FilmedCamera], **first: str) -> tuple[Store, list[Manifest], list[Manifest]]:
     """Return the annotations of the cameras, whose first has these keys, too, and a database of other duets."""
     store = Store(tmp_path / "store")
     paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]

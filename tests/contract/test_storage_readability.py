@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage_schema import TABLES, Store
-from storage_schema.arrow import Kind, column_kind
+from storage_schema.arrow import ColumnKind, column_kind
 from storage_schema.columns import Table
 from tests.builders.storage_rows import commit_rows, random_columns
 
@@ -36,12 +36,12 @@ def assert_rows(table: Table, found: dict[str, list]) -> None:
         values = found[column.name]
         assert len(values) == NUM_ROWS
         kind = column_kind(column)
-        if kind in (Kind.TEXT, Kind.TEXT_LIST):
+        if kind in (ColumnKind.TEXT, ColumnKind.TEXT_LIST):
             assert [row if row is None or isinstance(row, str) else list(row) for row in values] == given[column.name]
-        elif kind is Kind.FIXED:
+        elif kind is ColumnKind.FIXED:
             rows = np.array([np.asarray(row, dtype=float).reshape(column.shape) for row in values])
             np.testing.assert_array_equal(rows, given[column.name])
-        elif kind is Kind.VARYING:
+        elif kind is ColumnKind.VARYING:
             for row, expected in zip(values, given[column.name], strict=True):
                 np.testing.assert_array_equal(np.asarray(row, dtype=float), expected)
         else:

@@ -15,7 +15,7 @@ from flows.viewing.editing import Editor
 from flows.viewing.kinds import KINDS
 from flows.viewing.scene import Flat
 from flows.viewing.shelf import open_shelf
-from flows.viewing.side import DRAG_LABEL, Panel, picture_size
+from flows.viewing.side import DRAG_LABEL, PicturePanel, picture_size
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
 from pasdedeux.formats.pair_file import read_pair_json
@@ -170,7 +170,7 @@ def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
     """Drag a joint of the first person in the side picture to the right, by pixels of its image."""
     tab.run(f"{PICTURE}.scrollIntoView({{block: 'center'}})")
     x, y, width = tab.run(f"(() => {{ const b = {PICTURE}.getBoundingClientRect(); return [b.x, b.y, b.width]; }})()")
-    panel = Panel.of(flat, picture_size([flat]))
+    panel = PicturePanel.of(flat, picture_size([flat]))
     shown = [[0.0, 0.0], [0.5 * away_px, 3.0], [away_px, 0.0]]
     tab.mouse(*(np.array([x, y]) + width / 640 * panel.place(flat.points_px[0, joint] + one) for one in shown))
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from storage_schema import TABLES, ArtifactRef, Store
-from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.comparison import RELATIVE_TOLERANCE, TOLERANCES, Difference, compare_artifacts
 from tests.builders.storage_rows import random_columns
 
@@ -62,11 +62,11 @@ def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
     row = data.draw(st.integers(0, NUM_ROWS - 1))
     kind = column_kind(column)
     is_rounding = False
-    if kind is Kind.TEXT:
+    if kind is ColumnKind.TEXT:
         other[column.name][row] = "something else"
-    elif kind is Kind.TEXT_LIST:
+    elif kind is ColumnKind.TEXT_LIST:
         other[column.name][row] = ["something else"]
-    elif kind is Kind.VARYING:
+    elif kind is ColumnKind.VARYING:
         other[column.name][row] = np.append(other[column.name][row], 1).astype(other[column.name][row].dtype)
     elif pa.types.is_floating(value_type(column)):
         # Steps of the stored type are far below the tolerances, so what is stored is what was meant.
@@ -84,7 +84,7 @@ def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
         other[column.name][row].flat[-1] = one[column.name][row].flat[-1] + 1
     else:
         before = one[column.name][row]
-        other[column.name][row] = (not before) if kind is Kind.BOOLEAN else (before or 0) + 1
+        other[column.name][row] = (not before) if kind is ColumnKind.BOOLEAN else (before or 0) + 1
         if before is None:
             one[column.name][row] = 0
     (found,) = compared(table, one, other)

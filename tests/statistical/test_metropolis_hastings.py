@@ -25,7 +25,7 @@ from pasdedeux.sampling.densities.density import Evaluation, PairDensity, PriorO
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
 from pasdedeux.sampling.parameters import NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
-from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSizes
 from pasdedeux.skeletons import PAIR17
 
 MIN_ESS = 400.0
@@ -188,7 +188,7 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
     The angle of a uniform rotation has density (1 - cos t) / pi, so its mean is pi / 2 + 2 / pi.
     """
     chart = PairChart(standing_pair())
-    propose = GaussianBlocks(Steps(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34)).propose
+    propose = GaussianBlocks(StepSizes(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34)).propose
 
     def log_density(parameters: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(-0.5 * (parameters[POSITION_INDICES] ** 2).sum() / 0.2**2))
@@ -219,7 +219,7 @@ def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_b
     anything = PriorSettings(alpha=0.0, sigma_p_m=1e6, max_invalid_angles=2 * NUM_ANGLES)
     prior = PhysicalPrior(chart, JointLimits.published(), anything)
     target = PairDensity(chart, prior, PriorOnly())
-    propose = GaussianBlocks(Steps(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4)).propose
+    propose = GaussianBlocks(StepSizes(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4)).propose
     chains = []
     for chain in range(3):
         rng = np.random.default_rng([13, chain])

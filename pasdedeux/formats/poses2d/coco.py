@@ -22,7 +22,7 @@ from pasdedeux.formats.poses2d.detections import (
     join_detections,
     known_footage,
 )
-from pasdedeux.formats.poses2d.image_names import Place, places_of_names
+from pasdedeux.formats.poses2d.image_names import FramePlace, places_of_names
 from pasdedeux.formats.text import MAX_COUNT, parse_json, parse_triples
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import KeypointLayout
@@ -35,7 +35,7 @@ _LANDMARK_KEYS = ("landmarks", "pose_landmarks")
 
 
 @dataclass(frozen=True)
-class _Item:
+class _PersonEntry:
     """An entry for a person in the image with this id, number or name."""
 
     image: Any
@@ -207,7 +207,7 @@ IMAGE_RESULTS = AnnotationFormat(
 """A folder of results, a file for each image; the file name identifies the image."""
 
 
-def _people(listed: list[Any]) -> Iterator[_Item]:
+def _people(listed: list[Any]) -> Iterator[_PersonEntry]:
     """Yield people with keypoints from a list of annotations, of results, or of frames with `instances`.
 
     COCO has an empty list for crowds, and other tools write boxes without keypoints.  A file that has only boxes is
@@ -230,7 +230,7 @@ def _people(listed: list[Any]) -> Iterator[_Item]:
                 missing = missing or inside
             elif keypoints:
                 missing = "-"
-                yield _Item(image, person, inside)
+                yield _PersonEntry(image, person, inside)
     if missing not in ("", "-"):
         raise FormatError(f"{missing} has no list 'keypoints'")
 
@@ -273,7 +273,7 @@ def _attributes(content: dict[str, Any]) -> dict[str, Any]:
     return attributes if isinstance(attributes, dict) else {}
 
 
-def _place_of_number(number: int) -> Place | None:
+def _place_of_number(number: int) -> FramePlace | None:
     """Return video and frame of an image number, or None if it is not one.
 
     Numbers of PoseTrack have eleven digits: a 1, six for the video and four for the frame.
@@ -283,7 +283,7 @@ def _place_of_number(number: int) -> Place | None:
     return (str(number)[1:7], number % 10_000) if 10**10 <= number < 2 * 10**10 else None
 
 
-def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:
+def _places_of_ids(items: Sequence[_PersonEntry]) -> dict[int | str, FramePlace]:
     """Return video and frame of the images in results: numbers are frames, names contain the frame."""
     for item in items:
         is_number = isinstance(item.image, int) and not isinstance(item.image, bool) and item.image >= 0
@@ -299,7 +299,7 @@ def _places_of_ids(items: Sequence[_Item]) -> dict[int | str, Place]:
     return {image: places[str(image)] for image in ids}
 
 
-def _places_of_images(images: object) -> tuple[dict[int | str, Place], dict[str, tuple[int, int]]]:
+def _places_of_images(images: object) -> tuple[dict[int | str, FramePlace], dict[str, tuple[int, int]]]:
     """Return video and frame by image id, and the image size of each video if all its images have the same.
 
     If images do not state video and frame, these follow from different file names, else from the order.
@@ -320,11 +320,11 @@ def _places_of_images(images: object) -> tuple[dict[int | str, Place], dict[str,
         known[image["id"]] = {**image, "frame_id": number, "video_id": video}
     is_stated = any(image.get(key) is not None for image in known.values() for key in ("video_id", "frame_id"))
     names = [image.get("file_name") for image in known.values()]
-    by_name: dict[str, Place] = {}
+    by_name: dict[str, FramePlace] = {}
     if not is_stated and all(isinstance(name, str) for name in names) and len(set(names)) == len(names):
         by_name = places_of_names(str(name) for name in names)
     counts: Counter[str] = Counter()
-    places: dict[int | str, Place] = {}
+    places: dict[int | str, FramePlace] = {}
     sizes: dict[str, set[tuple[int, int] | None]] = {}
     for image_id, image in known.items():
         video = str(image["video_id"]) if isinstance(image.get("video_id"), int | str) else ""

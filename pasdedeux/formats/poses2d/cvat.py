@@ -22,7 +22,7 @@ from pasdedeux.formats.poses2d.annotated_frames import (
     get_keypoint_layout,
 )
 from pasdedeux.formats.poses2d.detections import detections_of_joints, join_detections
-from pasdedeux.formats.poses2d.image_names import Place, places_of_names
+from pasdedeux.formats.poses2d.image_names import FramePlace, places_of_names
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten
 from pasdedeux.skeletons.layouts import KeypointLayout
 
@@ -144,11 +144,11 @@ def _add(
         rows[key] = points
 
 
-def _places(images: Sequence[ElementTree.Element]) -> list[Place]:
+def _places(images: Sequence[ElementTree.Element]) -> list[FramePlace]:
     """Return video and frame of each image from the names, if they are different, else from the ids."""
     names = [image.get("name", "") for image in images]
     if len(set(names)) == len(names) and all(names):
-        places: Mapping[str, Place] = places_of_names(names)
+        places: Mapping[str, FramePlace] = places_of_names(names)
         return [places[name] for name in names]
     return [("", parse_integer(image.get("id", ""), f"annotation {index}: id")) for index, image in enumerate(images)]
 

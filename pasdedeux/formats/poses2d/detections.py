@@ -27,7 +27,7 @@ from pasdedeux.formats.poses2d.annotated_frames import (
     get_keypoint_layout,
     stretch,
 )
-from pasdedeux.formats.poses2d.image_names import Place
+from pasdedeux.formats.poses2d.image_names import FramePlace
 from pasdedeux.formats.text import shorten
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons.layouts import (
@@ -70,7 +70,7 @@ class Detection:
         names: Names of its keypoints (K,) as spelled in the file; None if it has none.
     """
 
-    place: Place
+    place: FramePlace
     person_id: int | str | None
     table: npt.NDArray[np.float64]
     where: str
@@ -401,7 +401,7 @@ def number_people(detections: Sequence[Detection]) -> tuple[list[int], bool, tup
         for detection in detections
         if detection.person_id is None or named[detection.place, detection.person_id] > 1
     }
-    seen: Counter[Place] = Counter()
+    seen: Counter[FramePlace] = Counter()
     ids = []
     for detection in detections:
         is_anew = detection.place[0] in anew or detection.person_id is None

@@ -14,7 +14,7 @@ from itertools import pairwise, takewhile
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.text import MAX_COUNT
 
-Place = tuple[str, int]
+FramePlace = tuple[str, int]
 """Name of a video or camera, empty if there is only one, and frame."""
 
 STILLS_STEP = 1000
@@ -76,7 +76,7 @@ def number_in_name(name: str) -> tuple[str, int | None]:
     return parsed.video(counter)[1].rstrip(" _-.("), parsed.value(counter)
 
 
-def places_of_names(names: Iterable[str]) -> dict[str, Place]:
+def places_of_names(names: Iterable[str]) -> dict[str, FramePlace]:
     """Return video and frame of each image by its name: `cam1_0012.jpg` and `cam1/0012.jpg` are frame 12 of cam1.
 
     Folders that all names share are ignored.  A single video has no name.  Images are single photographs if their names
@@ -117,10 +117,10 @@ def places_of_names(names: Iterable[str]) -> dict[str, Place]:
     return _placed(videos, frames)
 
 
-def _placed(videos: Mapping[str, tuple[str, str, str]], frames: Mapping[str, int]) -> dict[str, Place]:
+def _placed(videos: Mapping[str, tuple[str, str, str]], frames: Mapping[str, int]) -> dict[str, FramePlace]:
     """Return different places; text after the frame number is part of the video's name only if it differs."""
     is_alone, has_ends = len(set(videos.values())) == 1, len({after for *_, after in videos.values()}) > 1
-    taken: dict[Place, str] = {}
+    taken: dict[FramePlace, str] = {}
     for name, (folder, before, after) in videos.items():
         words = (before.strip(" _-.("), after.strip(" _-.)") if has_ends else "")
         video = "/".join(filter(None, (folder, "_".join(filter(None, words)))))
@@ -253,7 +253,7 @@ def _is_sparse(parsed: Sequence[_Name], frames: Sequence[int]) -> bool:
     return are_given and not is_even and sorted(gaps)[len(gaps) // 2] > _MAX_MEDIAN_GAP
 
 
-def _stills(parsed: Sequence[_Name]) -> dict[str, Place]:
+def _stills(parsed: Sequence[_Name]) -> dict[str, FramePlace]:
     def natural(part: _Name) -> tuple[str, tuple[str, ...], tuple[int, ...], str]:
         return (part.folder, part.template, tuple(map(part.value, range(len(part.numbers)))), part.name)
 

@@ -32,7 +32,7 @@ from pasdedeux.formats.poses2d.detections import (
     known_footage,
     names_in_order,
 )
-from pasdedeux.formats.poses2d.image_names import Place, places_of_names
+from pasdedeux.formats.poses2d.image_names import FramePlace, places_of_names
 from pasdedeux.formats.text import (
     MAX_COUNT,
     Lines,
@@ -269,7 +269,7 @@ def _of_table(lines: Lines, *, is_deeplabcut: bool) -> list[Detection]:
     keys = (plain[_plain(key)] for key in _IMAGE_KEYS if _plain(key) in plain)
     image_key = next((key for key in keys if cells and all(_IMAGE.search(row[key]) for _, row in cells)), None)
     video_key = None if video_key == image_key else video_key
-    places: Mapping[str, Place] = {}
+    places: Mapping[str, FramePlace] = {}
     if image_key is not None and frame_key in (None, image_key):
         frame_key, places = image_key, places_of_names(row[image_key] for _, row in cells)
     if landmark_key is None and not any(len(points) >= MIN_NAMED for points in by_person.values()):

@@ -20,7 +20,7 @@ from pasdedeux.reconstruction.matching import MIN_JOINTS
 from pasdedeux.reconstruction.people import ReconstructedPeople, SequenceOptions, place_people
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
-from pasdedeux.reconstruction.reliability import Judged, Place, Reliability
+from pasdedeux.reconstruction.reliability import Judged, PlaceReliability, Reliability
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.terms.placed import SeenPerson, up_axis
 from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, STATURE_DEVIATION
@@ -114,7 +114,7 @@ class SeenTogether:
             if len(both):
                 apart_m = np.linalg.norm(first.root_m[at] - second.root_m[other], axis=-1).mean()
                 expected_m = float(np.hypot(self.off_m, scale * apart_m))
-                places[first.person_id, second.person_id] = Place(expected_m, tuple(doubts))
+                places[first.person_id, second.person_id] = PlaceReliability(expected_m, tuple(doubts))
         return Judged(people, places)
 
     @property

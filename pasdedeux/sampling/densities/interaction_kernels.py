@@ -80,7 +80,7 @@ class BankTables(NamedTuple):
     is_every: bool
 
 
-class _Side(NamedTuple):
+class _EdgeBuffer(NamedTuple):
     """Room for one side of eq. 8: edges (n, 2) and weights (n,), and both narrowed for the rough comparison."""
 
     edges: np.ndarray
@@ -93,7 +93,9 @@ class _Side(NamedTuple):
 @inner_kernel()
 def _empty_side(count):  # type: ignore[no-untyped-def]
     starts, ends = np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.uint8)
-    return _Side(np.empty((count, 2), dtype=np.int32), np.empty(count), starts, ends, np.empty(count, dtype=np.float32))
+    return _EdgeBuffer(
+        np.empty((count, 2), dtype=np.int32), np.empty(count), starts, ends, np.empty(count, dtype=np.float32)
+    )
 
 
 @compiled()

@@ -17,7 +17,7 @@ from pasdedeux.skeletons import PAIR17
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepSizes:
     """Sizes of steps before warm-up scales them, and the number of blocks moved together; our choice.
 
     Args:
@@ -47,7 +47,7 @@ class GaussianBlocks(Proposal):
         steps: Standard deviations, and how many blocks move together.
     """
 
-    steps: Steps = Steps()
+    steps: StepSizes = StepSizes()
 
     def propose(self, rng: np.random.Generator, state: ChainState) -> Proposed:
         """Propose a step."""

@@ -50,7 +50,7 @@ NO_LIMIT = (-1.0, -1.0)
 
 
 @dataclass(frozen=True)
-class _Person:
+class _CapturedPerson:
     """One person of a take: motion as captured and at the study's rate, layout and source."""
 
     captured: Motion
@@ -71,7 +71,7 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
         layout=layout.name,
         rate_hz=made.motions[0].rate_hz,
     )
-    people = [_Person(motion, motion.resample(parameters.rate_hz), layout, source) for motion in made.motions]
+    people = [_CapturedPerson(motion, motion.resample(parameters.rate_hz), layout, source) for motion in made.motions]
     frames = people[0].motion.num_frames
     known = (contact.within(0, frames) for contact in made.known_contacts(parameters.rate_hz))
     contacts = [contact.model_dump() for contact in known if contact is not None]
@@ -128,7 +128,7 @@ def _files(shard: Shard) -> dict[str, bytes]:
     return {file.sha256: read_again(file) for file in {file.sha256: file for file in shard.files}.values()}
 
 
-def _read_people(parameters: TakeParameters, data: dict[str, bytes]) -> tuple[list[_Person], Verdict]:
+def _read_people(parameters: TakeParameters, data: dict[str, bytes]) -> tuple[list[_CapturedPerson], Verdict]:
     """Return the people of a take, with equal numbers of frames, and the verdict on guesses about their files."""
     digests = [person.motion_sha256 for person in parameters.persons]
     motions = [_read(parameters, person, data) for person in parameters.persons]
@@ -158,7 +158,7 @@ def _read_people(parameters: TakeParameters, data: dict[str, bytes]) -> tuple[li
         )
         layout = resolve_layout(source.layout, captured.skeleton, captured.rest_offsets_m, parameters.mappings)
         moved = captured.resample(parameters.rate_hz, start_s=source.start_s)
-        people.append(_Person(captured, moved, layout, source))
+        people.append(_CapturedPerson(captured, moved, layout, source))
     num_frames = min(person.motion.num_frames for person in people)
     people = [replace(person, motion=person.motion.first_frames(num_frames)) for person in people]
     return people, _verdict(parameters.persons, axes, is_mirrored, motions)
@@ -231,7 +231,7 @@ def _commit(
     shard: Shard,
     store: Store,
     parameters: DuetParameters | TakeParameters,
-    people: list[_Person],
+    people: list[_CapturedPerson],
     floor: Literal["auto", "keep"],
     verdict: Verdict,
     contacts: Sequence[dict[str, Any]] | None = None,
@@ -293,7 +293,7 @@ def _commit(
 
 
 def _check(
-    parameters: DuetParameters | TakeParameters, people: Sequence[_Person], captured_m: Array, rate_hz: float
+    parameters: DuetParameters | TakeParameters, people: Sequence[_CapturedPerson], captured_m: Array, rate_hz: float
 ) -> tuple[list[PersonCapture], JudgedCapture]:
     """Measure the capture of people (frame, person, 22, 3), and judge it by the limits of the study."""
     captures = check_capture(captured_m, rate_hz=rate_hz)
@@ -304,7 +304,7 @@ def _check(
     return captures, judge_capture(captures, limits, names)
 
 
-def _captured_together(people: Sequence[_Person]) -> tuple[Array, float]:
+def _captured_together(people: Sequence[_CapturedPerson]) -> tuple[Array, float]:
     """Return body22 as captured (frame, person, 22, 3), at the rate of the fastest file, and that rate."""
     rate_hz = max(person.captured.rate_hz for person in people)
     motions = [person.captured.resample(rate_hz, start_s=person.source.start_s) for person in people]
@@ -356,7 +356,7 @@ def _quality(take_id: str, people: list[PersonCapture], judged: JudgedCapture) -
 
 
 def _takes(
-    parameters: DuetParameters | TakeParameters, people: list[_Person], poses: list[WorkingPoses]
+    parameters: DuetParameters | TakeParameters, people: list[_CapturedPerson], poses: list[WorkingPoses]
 ) -> dict[str, Any]:
     count = len(people)
     maps = [body_map(person.layout, person.motion.skeleton, person.motion.rest_offsets_m) for person in people]
@@ -384,7 +384,7 @@ def _takes(
     }
 
 
-def _poses(take_id: str, rate_hz: float, people: list[_Person], poses: list[WorkingPoses]) -> dict[str, Any]:
+def _poses(take_id: str, rate_hz: float, people: list[_CapturedPerson], poses: list[WorkingPoses]) -> dict[str, Any]:
     lengths = [person.motion.num_frames for person in people]
     frames = np.concatenate([np.arange(length) for length in lengths])
     return {

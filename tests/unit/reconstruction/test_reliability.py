@@ -20,7 +20,7 @@ from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack, reconstruct_track
 from pasdedeux.reconstruction.reliability import (
-    Place,
+    PlaceReliability,
     Reliability,
     camera_doubt,
     judge_person,
@@ -425,9 +425,10 @@ def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_o
 
 
 def test_a_badly_known_place_warns_then_fails_and_says_what_would_help() -> None:
-    assert [Place(error).verdict.level for error in (0.1, 0.25, 0.6)] == [Level.PASS, Level.WARN, Level.FAIL]
+    assert [PlaceReliability(error).verdict.level for error in (0.1, 0.25, 0.6)] == [Level.PASS, Level.WARN, Level.FAIL]
     assert (
-        "25 cm (9 to 51); what would help: a stature (--stature, in a study statures_m)" in Place(0.25).verdict.reason
+        "25 cm (9 to 51); what would help: a stature (--stature, in a study statures_m)"
+        in PlaceReliability(0.25).verdict.reason
     )
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.console.cameras import camera_names
-from flows.exports.reconstructions import Footage, _between_frames, write_reconstruction
+from flows.exports.reconstructions import CameraData, _between_frames, write_reconstruction
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.formats.npz import read_npz
@@ -36,7 +36,7 @@ from pasdedeux.verdict import Level
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import FoundFilm, find_videos
 from tasks.ingest.poses2d.resolution import FoundAnnotations
-from tests.builders.cameras_of_a_take import SIZE_PX, Seen, calibrated, database_of_duets, duet_m, errors_m, see
+from tests.builders.cameras_of_a_take import SIZE_PX, FilmedCamera, calibrated, database_of_duets, duet_m, errors_m, see
 from tests.builders.pages import Page
 from tests.builders.rendered_film import write_film
 from tests.builders.walkers_on_video import build_store, camera_of, reference, write_walkers
@@ -53,17 +53,17 @@ def database() -> SearchedDatabase:
 
 
 @pytest.fixture(scope="module")
-def seen(truth_m: np.ndarray) -> list[Seen]:
+def seen(truth_m: np.ndarray) -> list[FilmedCamera]:
     return see(truth_m, (20.0, 100.0))
 
 
 @pytest.fixture(scope="module")
-def together(seen: list[Seen], database: SearchedDatabase) -> SeenTogether:
+def together(seen: list[FilmedCamera], database: SearchedDatabase) -> SeenTogether:
     return reconstruct_views([one.tracks for one in seen], database)
 
 
 def test_two_unknown_cameras_tell_poses_and_places(
-    together: SeenTogether, seen: list[Seen], truth_m: np.ndarray
+    together: SeenTogether, seen: list[FilmedCamera], truth_m: np.ndarray
 ) -> None:
     pose_m, place_m = errors_m(together.people.methods[-1].people, truth_m, seen[0])
     assert pose_m < 0.03
@@ -76,7 +76,7 @@ def test_two_unknown_cameras_tell_poses_and_places(
     assert together.off_m < 0.02
 
 
-def test_each_camera_is_told_in_the_frame_of_the_motions(together: SeenTogether, seen: list[Seen]) -> None:
+def test_each_camera_is_told_in_the_frame_of_the_motions(together: SeenTogether, seen: list[FilmedCamera]) -> None:
     placed_m, cameras = upright_m(together.people), together.cameras
     assert [one.name for one in cameras] == ["1", "2"]
     for one, true in zip(cameras, seen, strict=True):
@@ -102,7 +102,7 @@ def test_bones_keep_their_lengths_before_several_cameras(together: SeenTogether)
 
 
 def test_what_is_expected_of_several_cameras_holds(
-    together: SeenTogether, seen: list[Seen], truth_m: np.ndarray
+    together: SeenTogether, seen: list[FilmedCamera], truth_m: np.ndarray
 ) -> None:
     pose_m, _ = errors_m(together.people.methods[-1].people, truth_m, seen[0])
     expected = [one.expected_error_m for one in together.judged.people.values()]
@@ -112,7 +112,7 @@ def test_what_is_expected_of_several_cameras_holds(
         assert {verdict.level for verdict in apart.judged.verdicts.values()} == {Level.WARN}
 
 
-def test_cameras_of_two_takes_are_refused(seen: list[Seen], database: SearchedDatabase) -> None:
+def test_cameras_of_two_takes_are_refused(seen: list[FilmedCamera], database: SearchedDatabase) -> None:
     other = see(duet_m("judo"), (20.0, 100.0))[1]
     with pytest.raises(
         InputError, match=r"cameras front and side: they do not show the same people|front, side do not"
@@ -130,7 +130,9 @@ def test_cameras_that_see_other_joints_are_refused(truth_m: np.ndarray) -> None:
         calibrate(views, np.array([1.7, 1.7]), 30.0)
 
 
-def test_calibrated_cameras_give_true_sizes(seen: list[Seen], database: SearchedDatabase, truth_m: np.ndarray) -> None:
+def test_calibrated_cameras_give_true_sizes(
+    seen: list[FilmedCamera], database: SearchedDatabase, truth_m: np.ndarray
+) -> None:
     """The file has three cameras in another order, millimetres, images of twice the size and lenses that distort."""
     text = "".join(
         calibrated(one.camera, name, scale=2.0, distortions=(-0.08, 0.01, 0.0, 0.0, 0.0), unit=1000.0)
@@ -456,7 +458,7 @@ def test_bad_calibrations_are_named(text: str, says: str) -> None:
         read_calibration(text.encode())
 
 
-def write_side(folder: Path, seen: Seen, num_frames: int) -> FoundFilm:
+def write_side(folder: Path, seen: FilmedCamera, num_frames: int) -> FoundFilm:
     """Write the first frames of a camera as grey film with detections."""
     film = write_film(folder / "side.avi", [np.full((540, 960, 3), 90, dtype=np.uint8)] * num_frames)
     lines = [
@@ -480,14 +482,14 @@ def page_with(together: SeenTogether, found: FoundFilm, out: Path, *, later_s: f
         found.resolve().sequences[0],
         out,
         units="cm",
-        footage=[Footage(), Footage(motion, film=found)],
+        footage=[CameraData(), CameraData(motion, film=found)],
         cameras=[first, replace(second, first_time_s=second.first_time_s + later_s)],
     )
     return Page(written.page.read_text())
 
 
 def test_the_page_shows_the_film_of_a_camera_with_another_clock(
-    together: SeenTogether, seen: list[Seen], tmp_path: Path
+    together: SeenTogether, seen: list[FilmedCamera], tmp_path: Path
 ) -> None:
     """The film has the first 24 frames of the second camera."""
     page = page_with(together, write_side(tmp_path, seen[1], 24), tmp_path / "out")
@@ -520,7 +522,7 @@ def test_somebody_who_leaves_is_drawn_over_film_up_to_the_last_frame() -> None:
 
 
 def test_the_film_on_the_page_is_the_middle_of_what_it_has_of_the_take(
-    together: SeenTogether, seen: list[Seen], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    together: SeenTogether, seen: list[FilmedCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A film of 20 of 60 frames has none of the half second in the middle of all 60."""
     monkeypatch.setattr("pasdedeux.evaluation.pictures._MAX_S", 0.5)
@@ -532,7 +534,7 @@ def test_the_film_on_the_page_is_the_middle_of_what_it_has_of_the_take(
 
 
 def test_files_have_the_steady_images_of_all_cameras_by_their_own_clocks(
-    together: SeenTogether, seen: list[Seen], tmp_path: Path
+    together: SeenTogether, seen: list[FilmedCamera], tmp_path: Path
 ) -> None:
     """The second camera pans by a pixel a frame: which frame it was shows in each matrix."""
     first, second = together.cameras
@@ -543,7 +545,7 @@ def test_files_have_the_steady_images_of_all_cameras_by_their_own_clocks(
         write_side(tmp_path, seen[1], 24).resolve().sequences[0],
         tmp_path / "out",
         units="cm",
-        footage=[Footage(), Footage(CameraMotion(0, pan, SIZE_PX))],
+        footage=[CameraData(), CameraData(CameraMotion(0, pan, SIZE_PX))],
         cameras=[first, second],
     )
     motion = read_npz(next((tmp_path / "out").glob("*_0.npz")).read_bytes(), "the motion")
@@ -586,7 +588,7 @@ def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_sh
 
 
 def test_several_cameras_are_checked_before_any_is_read(
-    seen: list[Seen], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    seen: list[FilmedCamera], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A film that a detector has to see takes minutes."""
 

@@ -26,7 +26,7 @@ from pasdedeux.sampling.parameters import (
     gauge_fix,
 )
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
-from pasdedeux.sampling.proposals.blocks import GaussianBlocks, Steps
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSizes
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import block_indices
@@ -270,7 +270,7 @@ def test_a_seed_without_bones_or_with_nan_is_refused() -> None:
 
 def test_proposals_keep_ties_and_move_few_blocks() -> None:
     rng = np.random.default_rng(13)
-    propose = GaussianBlocks(Steps(max_blocks=3))
+    propose = GaussianBlocks(StepSizes(max_blocks=3))
     parameters = random_parameters(rng)
     for _ in range(200):
         proposed = propose.propose(rng, ChainState(parameters, Evaluation(0.0))).parameters

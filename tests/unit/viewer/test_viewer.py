@@ -22,7 +22,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from flows.console.app import run_command_line
-from flows.exports.overlay_video import Footage
+from flows.exports.overlay_video import FilmImages
 from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
 from flows.viewing.curves import time_strip
 from flows.viewing.editing import Editor
@@ -32,9 +32,9 @@ from flows.viewing.listing import qualities
 from flows.viewing.room import across
 from flows.viewing.saving import LinkPane, encode, encode_clip, save_clip
 from flows.viewing.scene import Flat, Grid, People
-from flows.viewing.seen import LIMBS17, LIMBS22, Seen
-from flows.viewing.shelf import Part, Shelf, moment_reference, open_shelf
-from flows.viewing.side import Dragged, Panel, Pointer, SidePicture
+from flows.viewing.seen import LIMBS17, LIMBS22, SequenceFootage
+from flows.viewing.shelf import Shelf, ViewedPartition, moment_reference, open_shelf
+from flows.viewing.side import Dragged, PicturePanel, Pointer, SidePicture
 from flows.viewing.viewer import Viewer
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
@@ -160,7 +160,7 @@ def test_the_image_of_2d_poses_has_the_size_of_its_own_sequence(tmp_path: Path) 
     store = Store(tmp_path / "store")
     ref = put(store, "ingest", "images", {"annotations": columns}, {}).ref
     for name, size in {"small": (640, 480), "large": (1920, 1080)}.items():
-        assert [flat.size_px for flat in Seen(store, ref, name).flats(0, name)] == [size]
+        assert [flat.size_px for flat in SequenceFootage(store, ref, name).flats(0, name)] == [size]
 
 
 def annotated(store: Store, name: str, places: dict[str, list[object]], points_px: np.ndarray) -> Manifest:
@@ -213,7 +213,7 @@ def test_a_reconstruction_is_located_by_who_was_seen_whoever_else_was_there(tmp_
     places = {"sequence_id": ["walk"] * 8, "frame": [0, 0, 1, 1, 2, 2, 3, 3], "person_id": [1, 7] * 4}
     points = np.stack([px[:, 1], rng.uniform(0.0, 400.0, (4, 17, 2))], axis=1).reshape(8, 17, 2)
     focal = {"partner_id": [7, 1] * 4, "focal_px": [700.0] * 8}
-    seen = Seen(store, annotated(store, "walk", places | focal, points).ref, "walk")
+    seen = SequenceFootage(store, annotated(store, "walk", places | focal, points).ref, "walk")
     grid = Grid.of(np.repeat(np.arange(4), 2), np.array([0, 1] * 4))
     found = seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0)
     assert found is not None
@@ -221,7 +221,7 @@ def test_a_reconstruction_is_located_by_who_was_seen_whoever_else_was_there(tmp_
     one = np.full((1, 17, 2), np.nan)
     one[0, LIMBS17[0]] = 100.0
     alone = {"sequence_id": ["one"], "frame": [0], "person_id": [1], "partner_id": [0], "focal_px": [700.0]}
-    seen = Seen(store, annotated(store, "one", alone, one).ref, "one")
+    seen = SequenceFootage(store, annotated(store, "one", alone, one).ref, "one")
     assert seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0) is None, "a point alone places nothing"
 
 
@@ -234,7 +234,7 @@ def test_a_single_image_has_the_film_of_its_own_artifact(tmp_path: Path) -> None
     shelf = Shelf(store, refs)
     films = {ref: SimpleNamespace(image=lambda number, ref=ref: ref, trouble="") for ref in refs}
     shelf.film = films.__getitem__  # type: ignore[assignment]
-    part = Part("annotations", "images", tuple(refs))
+    part = ViewedPartition("annotations", "images", tuple(refs))
     (item,) = shelf.items(part)
     scene = KINDS["annotations"].scene(shelf, part, item)
     shown = [flat.image() for frame in (0, 1) for flat in scene.images(frame) if flat.image is not None]
@@ -540,7 +540,7 @@ def test_pictures_and_clips_are_read_back_by_opencv() -> None:
 
 @pytest.mark.parametrize("size_px", [(640, 480), (100, 900), (1920, 1080)])
 def test_a_pixel_is_found_again_where_its_panel_shows_it(size_px: tuple[int, int]) -> None:
-    panel = Panel.of(Flat(PAIR17, np.zeros((2, 17, 2)), size_px, "a"), (640, 480))
+    panel = PicturePanel.of(Flat(PAIR17, np.zeros((2, 17, 2)), size_px, "a"), (640, 480))
     points = np.random.default_rng(3).uniform(0.0, size_px, (20, 2))
     np.testing.assert_allclose([panel.point(panel.place(one)) for one in points], points, atol=1e-9)
     np.testing.assert_array_equal(panel.point(np.array([-50.0, 9999.0])), [0.0, size_px[1]])
@@ -667,7 +667,7 @@ def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_overlay(tmp_path: 
     rng, path = np.random.default_rng(8), grey_film(tmp_path / "grey.mp4", 40)
     durations = rng.choice([0.25, 0.5, 1.0, 3.0], 40) / 30.0
     path.write_bytes(with_durations(path.read_bytes(), durations.tolist()))
-    footage, film = Footage(path, 30.0), reader(path, rate_hz=30.0)
+    footage, film = FilmImages(path, 30.0), reader(path, rate_hz=30.0)
     num_frames = int(30.0 * durations[:-1].sum())
     for number in [num_frames - 3, *range(num_frames), *rng.permutation(num_frames)]:
         image = film.image(int(number))

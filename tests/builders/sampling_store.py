@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.kinematics.rotations import normalise
 from storage_schema import Manifest, Store
-from tasks import seeds
+from tasks import chains, seeds
+from tasks.chains import ChainsParameters
 from tasks.seeds import SeedsParameters
 from tasks.stage import Shard, StageInputs
 from tests.builders.storage_rows import put, take_rows
@@ -104,16 +103,6 @@ def put_annotations(
     return annotations, put(store, "views", take_id, {"views": views}, facts, (annotations,))
 
 
-@pytest.fixture
-def inputs(tmp_path: Path) -> tuple[Store, dict[str, list[Manifest]]]:
-    store = Store(tmp_path / "store")
-    poses = [put_take(store, "one"), put_take(store, "two"), put_take(store, "kept_back", is_held_out=True)]
-    poses.append(put_take(store, "single", num_persons=1))
-    annotations, views = put_annotations(store, "one")
-    hidden_annotations, hidden_views = put_annotations(store, "kept_back", is_held_out=True)
-    return store, {"poses": poses, "annotations": [annotations, hidden_annotations], "views": [views, hidden_views]}
-
-
 def run(shards: list[Shard], module: Any, store: Store) -> list[Manifest]:
     return [store.manifest(module.run_shard(shard, store)) for shard in shards]
 
@@ -124,6 +113,18 @@ def with_seeds(store: Store, tables: dict[str, list[Manifest]], **parameters: An
 
 
 QUICK = {"num_draws": 8, "segment_draws": 4, "thin": 3, "num_views": 4, "num_dispersing": 2, "num_warm_up": 2}
+ONE_OF_THE_PRIOR: dict[str, Any] = {"num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
+"""What gives one short chain from each seed, of the prior alone."""
+
+
+def plan_chains(given: StageInputs, **changes: Any) -> list[Shard]:
+    """Plan chains that are short unless the parameters say otherwise."""
+    return chains.plan(given, ChainsParameters(**{**QUICK, **changes}))
+
+
+def run_chains(store: Store, given: StageInputs, **changes: Any) -> list[Manifest]:
+    """Plan such chains and run them."""
+    return run(plan_chains(given, **changes), chains, store)
 
 
 def draws_of(manifests: list[Manifest], store: Store) -> dict[tuple[str, int, int, int], np.ndarray]:

@@ -32,6 +32,7 @@ from tasks.training import STAGE as TRAINING
 from tasks.training.parameters import TrainingParameters
 from tasks.training.run import load_stored, read_arrays
 from tests.builders.dying_training import train_until_killed
+from tests.builders.ingest_runs import judged
 from tests.builders.moving_pairs import standing_person, swaying_people
 from tests.builders.storage_rows import put, take_rows
 
@@ -85,8 +86,7 @@ def augment(store: Store, takes: list[Manifest], **parameters: Any) -> list[Mani
 def test_a_take_without_anybody_who_is_scaled_says_so(store: Store) -> None:
     takes = [put_take(store, "pair"), put_take(store, "alone", num_persons=1)]
     pair, alone = augment(store, takes, scales=(0.8,), persons=("B", "C"))
-    verdict = verdict_of(alone)
-    assert verdict is not None
+    verdict = judged(alone)
     assert (verdict.level, verdict.reason) == (Level.WARN, "one person, and nobody of those who are scaled: B, C")
     assert not alone.tables
     assert pair.facts["variants"] == ["B-uniform-0.80"]
@@ -139,8 +139,7 @@ def test_pairs_get_variants_with_figures(store: Store, monkeypatch: pytest.Monke
         assert np.isfinite(variants[column]).all()
     np.testing.assert_allclose(np.stack(list(quality["uniform_scale"])), [[0.8, 1.0], [0.95, 1.0], [1.05, 1.0]])
     assert np.all(quality["contact_drift_m"] < quality["contact_drift_fk_m"])
-    verdict = verdict_of(made[0])
-    assert verdict is not None
+    verdict = judged(made[0])
     assert (verdict.count, verdict.figure, verdict.unit) == (3, "contact drift", "m")
     assert verdict.value == pytest.approx(np.mean(quality["contact_drift_m"]))
     assert verdict.value < verdict.baseline
@@ -319,8 +318,7 @@ def test_a_model_is_compared_on_validation_beside_the_better_baseline(store: Sto
     assert set(made["cross_scale ridge_scale"].facts["validation"]["one"]) == between
     near = augment(store, takes, scales=(0.8, 0.95, 1.05))
     (alone,) = train(store, plan_training(takes, near, models=("ridge_scale",))).values()
-    said = verdict_of(alone)
-    assert said is not None
+    said = judged(alone)
     assert "nothing is said" in said.reason
 
 

@@ -9,9 +9,6 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.coverage import CoverageCurve
-from storage_schema import Store
-from tasks import chains
-from tasks.chains import ChainsParameters
 from tasks.evaluation import coverage, reconstruction
 from tasks.evaluation.coverage import (
     TOPIC,
@@ -22,39 +19,27 @@ from tasks.evaluation.coverage import (
 )
 from tasks.rows.draw_sets import baselines_of, read_draw_sets
 from tasks.stage import StageInputs
-from tests.builders.sampling_store import QUICK, inputs, put_take, run, with_seeds
+from tests.builders.sampling_store import ONE_OF_THE_PRIOR, QUICK, put_take, run_chains, with_seeds
 from tests.builders.storage_rows import put
-
-__all__ = ["inputs"]
 
 
 def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_only_there(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=5, num_grown=4, num_starts=1)
-    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
-    sweep = {"grown": {"starts": "grown"}}
-    made = run(chains.plan(given, ChainsParameters(**options, sweep=sweep)), chains, store)
-    found = draws_from_first_seeds(store, tuple(one.ref for one in made))
+    made = run_chains(store, given, **ONE_OF_THE_PRIOR, sweep={"grown": {"starts": "grown"}})
+    found = draws_from_first_seeds(store, tuple(manifest.ref for manifest in made))
     assert {name: len(draws.pairs_m) for name, draws in found.items()} == {"prior_only_first_seed": 8}
     # A sweep of the prior alone is a baseline, whatever its name.
-    assert baselines_of(read_draw_sets(store, [one.ref for one in made if "draws" in one.tables])) == [
-        "grown",
-        "prior_only",
-    ]
+    draw_sets = read_draw_sets(store, [manifest.ref for manifest in made if "draws" in manifest.tables])
+    assert baselines_of(draw_sets) == ["grown", "prior_only"]
 
 
 def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables)
-    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
-    draws = run(chains.plan(given, ChainsParameters(**options)), chains, store)
-    evaluated = {
-        **given.manifests,
-        "poses": [put_take(store, "learned", is_prior=True)],
-        "annotations": [],
-        "draws": draws,
-    }
-    for shard in TOPIC.plan(StageInputs(evaluated, 1), CoverageSettings()):
+    learned = {"poses": [put_take(store, "learned", is_prior=True)], "annotations": []}
+    draws = run_chains(store, given, **ONE_OF_THE_PRIOR)
+    for shard in TOPIC.plan(StageInputs({**given.manifests, **learned, "draws": draws}, 1), CoverageSettings()):
         assert TOPIC.compute(shard, store).notes == [
             "Coverage is not measured on learned, because the priors were learned from these takes.",
             f"Coverage of {shard.name} frames is not measured: there are no such frames.",
@@ -74,20 +59,10 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
             topic.compute(shard, store)
 
 
-def sampled(inputs: Any) -> tuple[Store, StageInputs]:
-    """Return the store with chains of one seed, and what the topic reads of it."""
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=4)
-    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
-    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
-    return store, StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
-
-
 def test_chains_that_run_side_by_side_cover_in_the_order_in_which_they_drew(inputs: Any) -> None:
     store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=2)
-    made = run(chains.plan(given, ChainsParameters(**QUICK, densities=("prior_only",))), chains, store)
-    refs = [one.ref for one in made if "draws" in one.tables]
+    made = run_chains(store, with_seeds(store, tables, num_seeds=2), densities=("prior_only",))
+    refs = [manifest.ref for manifest in made if "draws" in manifest.tables]
     (found,) = read_draw_sets(store, refs).values()
     parts = [store.read(ref, "draws", columns=["draw", "pair17_m"]) for ref in refs]
     numbers, pairs = (np.concatenate([part[name] for part in parts]) for name in ("draw", "pair17_m"))
@@ -96,7 +71,10 @@ def test_chains_that_run_side_by_side_cover_in_the_order_in_which_they_drew(inpu
 
 
 def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, known = sampled(inputs)
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=4)
+    made = run_chains(store, given, **ONE_OF_THE_PRIOR)
+    draws = [manifest for manifest in made if "draws" in manifest.tables]
     compared: list[set[bytes]] = []
 
     def levels(truth_m: np.ndarray, real_m: np.ndarray, generator: np.random.Generator) -> CoverageCurve:
@@ -104,6 +82,7 @@ def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypa
         return real_frame_levels(truth_m, real_m, generator)
 
     monkeypatch.setattr(coverage, "real_frame_levels", levels)
+    known = StageInputs({**given.manifests, "draws": draws}, seed=1)
     for shard in coverage.TOPIC.plan(known, CoverageSettings(num_truth_pairs=300)):
         coverage.TOPIC.compute(shard, store)
         truth, real = compared[-2:]

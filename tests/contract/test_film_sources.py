@@ -47,9 +47,8 @@ from tasks.seeds.parameters import SeedsParameters
 from tasks.seeds.plan import check_study
 from tasks.stage import StageInputs
 from tasks.stage.facts import TopicFacts
-from tasks.stage.judgements import verdict_of
 from tests.builders import tiny_networks
-from tests.builders.ingest_runs import planned, run
+from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.mp4_boxes import rotated, with_durations
 from tests.builders.painted_film import NAMES, painted, scene, walker_px, write_keys
 from tests.builders.rendered_film import render, salsa_bodies, write_film
@@ -665,8 +664,8 @@ def test_a_shot_in_which_a_detector_sees_nobody_is_skipped_with_the_reason(tmp_p
     assert [one.partition for one in shards] == ["sea.shot00", "sea.shot01"]
     manifest = run(Store(tmp_path / "store"), shards[:1])["sea.shot00", "film"]
     assert not manifest.tables
-    assert "sea.shot00 skipped: " in verdict_of(manifest).reason
-    assert "nobody was detected" in verdict_of(manifest).reason
+    assert "sea.shot00 skipped: " in judged(manifest).reason
+    assert "nobody was detected" in judged(manifest).reason
 
 
 def test_a_film_with_key_frames_becomes_bvh_glb_with_its_camera_and_a_page(

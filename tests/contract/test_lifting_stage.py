@@ -18,9 +18,8 @@ from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level
-from storage_schema import Manifest, Store, open_table
-from tasks import chains, lifting
-from tasks.chains import ChainsParameters
+from storage_schema import Manifest, Store, TableData, open_table
+from tasks import lifting
 from tasks.evaluation import STAGE
 from tasks.evaluation.lifting import TOPIC
 from tasks.lifting import LiftingParameters, _baselines, _lifted_from, _spans
@@ -28,12 +27,12 @@ from tasks.rows.annotated_pairs import PairPlace, read_seen_pairs
 from tasks.rows.draw_sets import GROWN, read_draw_sets, reference_to
 from tasks.stage import StageInputs
 from tasks.stage.facts import SeedFacts
-from tasks.stage.judgements import verdict_of
 from tests.builders.drawn_pairs import put_draws
-from tests.builders.sampling_store import QUICK, inputs, pairs_of, run, with_seeds
+from tests.builders.ingest_runs import judged
+from tests.builders.sampling_store import pairs_of, run, run_chains, with_seeds
 from tests.builders.storage_rows import put, random_columns, take_rows
 
-__all__ = ["inputs"]  # the fixture
+VIDEO = {"purpose": "video", "rate_hz": 30.0}
 
 
 @pytest.fixture
@@ -47,6 +46,11 @@ def lift(store: Store, given: StageInputs, **parameters: Any) -> dict[str, Manif
     return {manifest.partition: manifest for manifest in found}
 
 
+def lifted_from(store: Store, given: StageInputs, **parameters: Any) -> TableData:
+    """Return the pairs lifted from the views of take `one`."""
+    return store.read(lift(store, given, **parameters)["one-views"].ref, "lifted_pairs")
+
+
 def test_annotations_are_lifted_from_grown_seeds(grown: Any) -> None:
     store, given = grown
     made = lift(store, given, max_frames=6)
@@ -58,20 +62,17 @@ def test_annotations_are_lifted_from_grown_seeds(grown: Any) -> None:
     table = store.read(made["one-views"].ref, "lifted_pairs")
     assert sorted(set(table["method"])) == ["fitted", "mean_pair", "nearest", "neighbours"]
     assert table.num_rows == 4 * facts["num_lifted"]
-    assert np.isfinite(np.asarray(table["pair17_m"])).all()
-    residual = {
-        m: np.asarray(table["residual_m"])[np.asarray(table["method"]) == m].mean() for m in set(table["method"])
-    }
+    assert np.isfinite(table["pair17_m"]).all()
+    residual = {name: table["residual_m"][table["method"] == name].mean() for name in set(table["method"])}
     assert residual["fitted"] < residual["neighbours"] < residual["mean_pair"]
-    verdict = verdict_of(made["one-views"])
-    assert verdict is not None
+    verdict = judged(made["one-views"])
     assert verdict.level is Level.PASS
     assert verdict.value < verdict.baseline
 
 
 def test_a_lifted_pair_names_the_draw_it_came_from(grown: Any) -> None:
     store, given = grown
-    table = store.read(lift(store, given, max_frames=3)["one-views"].ref, "lifted_pairs")
+    table = lifted_from(store, given, max_frames=3)
     row = list(table["method"]).index("nearest")
     lifted = np.asarray(table["pair17_m"][row], dtype=np.float64)
     draw = np.asarray(open_table(str(table["draw"][row]), store)["pair17_m"])[0]
@@ -84,14 +85,12 @@ def test_a_lifted_pair_names_the_draw_it_came_from(grown: Any) -> None:
 
 def test_seeds_of_which_none_grew_stand_beside_others(grown: Any) -> None:
     store, given = grown
-    (one,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
-    table = store.read(one.ref, "seeds")
-    none = put(store, "seeds", "none", {"seeds": {name: table[name][:0] for name in table.column_names}}, one.facts)
+    (seeds,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
+    table = store.read(seeds.ref, "seeds")
+    none = put(store, "seeds", "none", {"seeds": {name: table[name][:0] for name in table.column_names}}, seeds.facts)
     both = StageInputs({**given.manifests, "seeds": [*given.of("seeds"), none]}, seed=1)
-    alone, beside = (
-        store.read(lift(store, some, max_frames=2)["one-views"].ref, "lifted_pairs") for some in (given, both)
-    )
-    np.testing.assert_array_equal(beside["pair17_m"], alone["pair17_m"])
+    alone, beside = (lifted_from(store, some, max_frames=2)["pair17_m"] for some in (given, both))
+    np.testing.assert_array_equal(beside, alone)
 
 
 def test_what_is_expected_of_a_pair_rests_on_no_draw_of_that_person_at_that_moment(grown: Any) -> None:
@@ -109,21 +108,20 @@ def test_draws_of_the_same_image_make_nobody_surer_however_many_agree(grown: Any
 
 def lifted_more_often(store: Store, given: StageInputs, sizes: Sequence[float]) -> StageInputs:
     """Return inputs in which each lifted seed stands once more for each of these sizes."""
-    (one,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
-    table = store.read(one.ref, "seeds")
+    (seeds,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
+    table = store.read(seeds.ref, "seeds")
     lifted = np.flatnonzero([name is not None for name in table["sequence_id"]])
     rows = [*range(table.num_rows), *np.tile(lifted, len(sizes))]
     scale = np.append(np.ones(table.num_rows), np.repeat(sizes, len(lifted)))
     columns = {name: [table[name][row] for row in rows] for name in table.column_names}
     columns["pair17_m"] = [np.asarray(pair) * size for pair, size in zip(columns["pair17_m"], scale, strict=True)]
     columns["seed_index"] = list(range(len(rows)))
-    more = put(store, "seeds", "more", {"seeds": columns}, one.facts)
+    more = put(store, "seeds", "more", {"seeds": columns}, seeds.facts)
     return StageInputs({**given.manifests, "seeds": [more]}, seed=1)
 
 
 def expected_errors(store: Store, given: StageInputs) -> np.ndarray:
-    table = store.read(lift(store, given, max_frames=5)["one-views"].ref, "lifted_pairs", columns=["expected_error_m"])
-    found = np.asarray(table["expected_error_m"])
+    found = lifted_from(store, given, max_frames=5)["expected_error_m"]
     return found[np.isfinite(found)]
 
 
@@ -145,13 +143,13 @@ def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any)
 def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tasks.rows.lifted_rows._NUM_COMPLETING", 5)
     store, given = grown
-    table = store.read(lift(store, given)["one-views"].ref, "lifted_pairs")
-    seen, method = np.asarray(table["num_joints_seen"]), np.asarray(table["method"])
+    table = lifted_from(store, given)
+    seen, method = table["num_joints_seen"], table["method"]
     assert (seen[method == "completed"] == 27).all()
     assert (method == "completed").sum() == 1
     # The last pair that was made of an image has an error to expect: whole images are fitted, others completed.
     answers = (method == "completed") | ((method == "fitted") & (seen == 28))
-    expected, low, high = (np.asarray(table[f"expected_{name}_m"]) for name in ("error", "low", "high"))
+    expected, low, high = (table[f"expected_{name}_m"] for name in ("error", "low", "high"))
     np.testing.assert_array_equal(np.isfinite(expected), answers)
     assert (low[answers] < expected[answers]).all()
     assert (expected[answers] < high[answers]).all()
@@ -159,14 +157,12 @@ def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest
 
 def test_the_nearest_draw_of_each_set_that_is_compared_stands_beside_that_of_all(grown: Any) -> None:
     store, given = grown
-    options = {**QUICK, "num_chains": 1, "densities": ("ic", "cartesian"), "starts": "seeds"}
-    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
-    known = StageInputs({**given.manifests, "draws": [one for one in made if "draws" in one.tables]}, seed=1)
-    table = store.read(
-        lift(store, known, max_frames=2, compared=("ic", "grown_seeds"))["one-views"].ref, "lifted_pairs"
-    )
-    method, far = np.asarray(table["method"]), np.asarray(table["residual_m"])
-    assert {one for one in method if one.startswith("nearest_of_")} == {"nearest_of_ic", "nearest_of_grown_seeds"}
+    made = run_chains(store, given, num_chains=1, densities=("ic", "cartesian"), starts="seeds")
+    draws = [manifest for manifest in made if "draws" in manifest.tables]
+    known = StageInputs({**given.manifests, "draws": draws}, seed=1)
+    table = lifted_from(store, known, max_frames=2, compared=("ic", "grown_seeds"))
+    method, far = table["method"], table["residual_m"]
+    assert {name for name in method if name.startswith("nearest_of_")} == {"nearest_of_ic", "nearest_of_grown_seeds"}
     # Chains of a few steps stay at their seed; the annotations that are lifted were grown over.
     assert (far[method == "nearest_of_ic"] > far[method == "nearest_of_grown_seeds"]).all()
     np.testing.assert_allclose(far[method == "nearest_of_grown_seeds"], far[method == "nearest"])
@@ -177,85 +173,76 @@ def test_the_nearest_draw_of_each_set_that_is_compared_stands_beside_that_of_all
 def test_baselines_without_draws_stand_beside(grown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tasks.lifting._NUM_NAIVE", 40)
     store, given = grown
-    made = lift(store, given, max_frames=1, baselines=("lifting", "lifting_ik", "naive_sampling"))
-    methods = set(store.read(made["one-views"].ref, "lifted_pairs")["method"])
+    methods = set(
+        lifted_from(store, given, max_frames=1, baselines=("lifting", "lifting_ik", "naive_sampling"))["method"]
+    )
     assert {"lifting", "lifting_ik", "naive_sampling"} <= methods
 
 
-def put_film(
-    store: Store, tables: dict[str, Any], facts: dict[str, Any], *, every: int = 1
-) -> tuple[Manifest, Manifest]:
-    """Commit annotations as if one camera had seen them all, one frame after the other, and their views."""
-    annotations, views = tables["annotations"][0], tables["views"][0]
+def filmed(store: Store, given: StageInputs, facts: dict[str, Any], *, every: int = 1) -> StageInputs:
+    """Return inputs whose annotations one camera has seen, one frame after the other, with their views."""
+    annotations, views = given.of("annotations")[0], given.of("views")[0]
     table, seen = store.read(annotations.ref, "annotations"), store.read(views.ref, "views")
     columns = {name: table[name] for name in table.column_names}
     columns["sequence_id"] = ["film"] * table.num_rows
-    columns["frame"] = np.asarray(columns["take_frame"]).astype(int)
+    columns["frame"] = columns["take_frame"].astype(int)
     columns["time_s"] = columns["frame"] / 30.0
-    columns["op14_px"] = np.asarray(columns["pair17_px"])[:, PAIR17.indices(OP14.joint_names)]
-    keep = np.flatnonzero(np.asarray(columns["is_key"]) & (columns["frame"] % every == 0))
+    columns["op14_px"] = columns["pair17_px"][:, PAIR17.indices(OP14.joint_names)]
+    keep = np.flatnonzero(columns["is_key"] & (columns["frame"] % every == 0))
     columns = {name: [values[row] for row in keep] for name, values in columns.items()}
-    known = {**annotations.facts, **facts}
-    film = put(store, "ingest", f"film{len(facts)}{every}", {"annotations": columns}, known)
-    view_columns = {name: list(seen[name]) for name in seen.column_names}
-    view_columns["frame"] = [int(name[-5:]) for name in view_columns["sequence_id"]]
-    view_columns["sequence_id"] = ["film"] * seen.num_rows
-    film_views = put(store, "views", f"film{len(facts)}{every}", {"views": view_columns}, views.facts, (film,))
-    return film, film_views
+    name = f"film{len(facts)}{every}"
+    film = put(store, "ingest", name, {"annotations": columns}, {**annotations.facts, **facts})
+    columns = {name: list(seen[name]) for name in seen.column_names}
+    columns["frame"] = [int(name[-5:]) for name in columns["sequence_id"]]
+    columns["sequence_id"] = ["film"] * seen.num_rows
+    film_views = put(store, "views", name, {"views": columns}, views.facts, (film,))
+    return StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
 
 
-def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
-    film, film_views = put_film(store, tables, {"purpose": "video", "rate_hz": 30.0})
-    video = StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
-    made = lift(store, video, max_frames=2, between_frames=5, num_spans=1)["film21"]
+def pairs_over_time(table: TableData) -> np.ndarray:
+    return np.asarray(table["pair17_m"][table["method"] == "over_time"], dtype=float)
+
+
+def test_frames_of_a_video_are_filled_in_between(grown: Any) -> None:
+    store, given = grown
+    (made,) = lift(store, filmed(store, given, VIDEO), max_frames=2, between_frames=5, num_spans=1).values()
     between = store.read(made.ref, "in_betweens")
     assert list(between["method"]) == ["draws", "straight"] * 4
-    first = np.asarray(between["first_frame"])
-    np.testing.assert_array_equal(np.asarray(between["frame"]), np.repeat(first[0] + 1 + np.arange(4), 2))
+    np.testing.assert_array_equal(between["frame"], np.repeat(between["first_frame"][0] + 1 + np.arange(4), 2))
     # One camera saw all of it, so each pair is lifted with the others too, and that is what is expected to err so much.
     table = store.read(made.ref, "lifted_pairs")
-    method = np.asarray(table["method"])
+    method = table["method"]
     assert (method == "over_time").sum() == (method == "fitted").sum() == made.facts["num_lifted"]
-    np.testing.assert_array_equal(np.isfinite(np.asarray(table["expected_error_m"])), method == "over_time")
+    np.testing.assert_array_equal(np.isfinite(table["expected_error_m"]), method == "over_time")
     # What is stated of the people is believed, and the camera is one of those that see the database.
-    facts = {"purpose": "video", "rate_hz": 30.0, "statures_m": {"0": 2.3, "1": 2.3}}
-    film, film_views = put_film(store, tables, facts)
-    tall = StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
-    made = lift(store, tall, max_frames=2, between_frames=0)["film31"]
-    sizes = []
-    for one in (table, store.read(made.ref, "lifted_pairs")):
-        pairs = np.asarray(one["pair17_m"], dtype=float)[np.asarray(one["method"]) == "over_time"]
-        sizes.append(np.median(bone_lengths(PAIR17, pairs)))
-    assert sizes[1] > 1.15 * sizes[0]
+    tall = filmed(store, given, {**VIDEO, "statures_m": {"0": 2.3, "1": 2.3}})
+    (made,) = lift(store, tall, max_frames=2, between_frames=0).values()
+    tall_m, usual_m = (pairs_over_time(found) for found in (store.read(made.ref, "lifted_pairs"), table))
+    assert np.median(bone_lengths(PAIR17, tall_m)) > 1.15 * np.median(bone_lengths(PAIR17, usual_m))
 
 
 def test_frames_of_a_video_are_lifted_by_other_takes_and_others_grow_from_them(inputs: Any) -> None:
     store, tables = inputs
-    film, film_views = put_film(store, tables, {"purpose": "video", "rate_hz": 30.0})
-    both = {"annotations": [*tables["annotations"], film], "views": [*tables["views"], film_views]}
+    video = filmed(store, StageInputs(tables, seed=1), VIDEO)
+    both = {name: [*tables[name], *video.of(name)] for name in ("annotations", "views")}
     given = with_seeds(store, {**tables, **both}, num_seeds=1, num_grown=20, num_filled=5, num_over_time=16)
-    names = [one.name for one in given.of("seeds")]
+    (film,) = video.of("annotations")
+    names = [manifest.name for manifest in given.of("seeds")]
     assert names == ["seed", f"{film.partition}-{film.name}", "grown", "filled"]
-    first, over_time, grown, filled = given.of("seeds")
+    over_time = given.of("seeds")[1]
     # Nothing of the video's own take: that would be to know the answer.
-    assert {store.manifest(ref).partition for ref in over_time.inputs if "poses" in store.manifest(ref).tables} == {
-        "two"
-    }
+    read = [store.manifest(ref) for ref in over_time.inputs]
+    assert {manifest.partition for manifest in read if "poses" in manifest.tables} == {"two"}
     assert SeedFacts.of(over_time).start_indices == ()
-    tables_of = [store.read(one.ref, "seeds") for one in (first, over_time, grown, filled)]
-    found = tables_of[1]
+    _, found, grown, _ = seeds = [store.read(manifest.ref, "seeds") for manifest in given.of("seeds")]
     assert set(found["origin"]) == {"over_time"}
     assert set(found["sequence_id"]) == {"film"}
-    indices = np.concatenate([table["seed_index"] for table in tables_of])
+    indices = np.concatenate([table["seed_index"] for table in seeds])
     assert len(set(indices.tolist())) == len(indices)
-    assert set(tables_of[2]["parent_seed_index"]) <= set(indices.tolist())
-    assert np.isfinite(np.asarray(found["pair17_m"])).all()
-    draws = read_draw_sets(store, [one.ref for one in given.of("seeds")[1:]])
-    assert len(draws[GROWN].pairs_m) == found.num_rows + tables_of[2].num_rows
-    stills = with_seeds(store, tables, num_seeds=1, num_grown=20)
-    assert [one.name for one in stills.of("seeds")] == ["seed", "grown"]
+    assert set(grown["parent_seed_index"]) <= set(indices.tolist())
+    assert np.isfinite(found["pair17_m"]).all()
+    draws = read_draw_sets(store, [manifest.ref for manifest in given.of("seeds")[1:]])
+    assert len(draws[GROWN].pairs_m) == found.num_rows + grown.num_rows
 
 
 def put_projections(store: Store, take_id: str, *, origin: str = "take") -> Manifest:
@@ -276,29 +263,27 @@ def put_projections(store: Store, take_id: str, *, origin: str = "take") -> Mani
     return put(store, "projections", f"{origin}-{take_id}", {"projections": columns}, facts)
 
 
-def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own_take(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
-    film, film_views = put_film(store, tables, {"purpose": "video", "rate_hz": 30.0})
+def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own_take(grown: Any) -> None:
+    store, given = grown
+    video = filmed(store, given, VIDEO)
     database = [put_projections(store, take_id) for take_id in ("one", "two")]
-    filmed = {**given.manifests, "annotations": [film], "views": [film_views]}
-    seen = StageInputs({**filmed, "projections": database}, seed=1)
+    seen = StageInputs({**video.manifests, "projections": database}, seed=1)
     (shard,) = lifting.plan(seen, LiftingParameters())
     assert shard.refs("projections") == (database[1].ref,)
     assert shard.options(lifting.LiftingShard).pitches_deg == (10.0,)
-    lifted = {}
-    for name, some in (("draws", StageInputs(filmed, seed=1)), ("database", seen)):
-        table = store.read(lift(store, some, max_frames=2, between_frames=0)["film21"].ref, "lifted_pairs")
-        lifted[name] = {
-            m: np.asarray(table["pair17_m"])[np.asarray(table["method"]) == m] for m in ("fitted", "over_time")
-        }
-    np.testing.assert_array_equal(lifted["draws"]["fitted"], lifted["database"]["fitted"])
-    assert np.isfinite(lifted["database"]["over_time"]).all()
-    assert np.abs(lifted["draws"]["over_time"] - lifted["database"]["over_time"]).max() > 0.02
+    by_draws, by_database = (
+        store.read(manifest.ref, "lifted_pairs")
+        for some in (video, seen)
+        for manifest in lift(store, some, max_frames=2, between_frames=0).values()
+    )
+    fitted = [table["pair17_m"][table["method"] == "fitted"] for table in (by_draws, by_database)]
+    np.testing.assert_array_equal(*fitted)
+    assert np.isfinite(pairs_over_time(by_database)).all()
+    assert np.abs(pairs_over_time(by_draws) - pairs_over_time(by_database)).max() > 0.02
     # Draws in the database are draws: so many as are here are lifted from themselves, and expected to err as such.  The
     # pitches are those of the study, whatever of its database may be used.
     for parts in ([put_projections(store, "two", origin="draw")], database[:1]):
-        (shard,) = lifting.plan(StageInputs({**filmed, "projections": parts}, seed=1), LiftingParameters())
+        (shard,) = lifting.plan(StageInputs({**video.manifests, "projections": parts}, seed=1), LiftingParameters())
         assert shard.refs("projections") == ()
         assert shard.options(lifting.LiftingShard).pitches_deg == (10.0,)
     # Random views are frames of many cameras.
@@ -306,17 +291,15 @@ def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own
     assert not any(shard.refs("projections") for shard in lifting.plan(views, LiftingParameters()))
 
 
-def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
-    film, views = put_film(store, tables, {"purpose": "given", "rate_hz": 30.0}, every=7)
-    video = StageInputs({**given.manifests, "annotations": [film], "views": [views]}, seed=1)
-    between = store.read(lift(store, video, max_frames=2, num_spans=1)["film27"].ref, "in_betweens")
-    assert np.asarray(between["last_frame"])[0] - np.asarray(between["first_frame"])[0] == 7
+def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(grown: Any) -> None:
+    store, given = grown
+    own = {"purpose": "given", "rate_hz": 30.0}
+    (made,) = lift(store, filmed(store, given, own, every=7), max_frames=2, num_spans=1).values()
+    between = store.read(made.ref, "in_betweens")
+    assert between["last_frame"][0] - between["first_frame"][0] == 7
     assert between.num_rows == 2 * 6
-    film, views = put_film(store, tables, {"purpose": "given", "rate_hz": 30.0, "why_no_video": {"film": "stills"}})
-    stills = StageInputs({**given.manifests, "annotations": [film], "views": [views]}, seed=1)
-    made = lift(store, stills, max_frames=2)["film31"]
+    stills = filmed(store, given, {**own, "why_no_video": {"film": "stills"}})
+    (made,) = lift(store, stills, max_frames=2).values()
     assert "in_betweens" not in made.tables
     assert "over_time" not in set(store.read(made.ref, "lifted_pairs")["method"])
 
@@ -326,25 +309,18 @@ def test_without_draws_nothing_is_planned(inputs: Any) -> None:
     assert lifting.plan(StageInputs(tables, seed=1), LiftingParameters()) == []
 
 
-def test_annotations_that_show_nothing_are_passed_over_and_told(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=10)
-    annotations = tables["annotations"][0]
-    table = store.read(annotations.ref, "annotations")
+def test_annotations_that_show_nothing_are_passed_over_and_told(grown: Any) -> None:
+    store, given = grown
+    annotations, views = given.of("annotations")[0], given.of("views")[0]
+    table, seen = store.read(annotations.ref, "annotations"), store.read(views.ref, "views")
     columns = {name: table[name] for name in table.column_names}
-    columns["pair17_px"] = np.full(np.asarray(columns["pair17_px"]).shape, np.nan)
+    columns["pair17_px"] = np.full_like(columns["pair17_px"], np.nan)
     blind = put(store, "ingest", "blind", {"annotations": columns}, annotations.facts)
-    seen = store.read(tables["views"][0].ref, "views")
-    views = put(
-        store, "views", "blind", {"views": {n: seen[n] for n in seen.column_names}}, annotations.facts, (blind,)
-    )
-    shards = lifting.plan(
-        StageInputs({**given.manifests, "annotations": [blind], "views": [views]}, seed=1), LiftingParameters()
-    )
-    made = store.manifest(lifting.run_shard(shards[0], store))
+    columns = {name: seen[name] for name in seen.column_names}
+    views = put(store, "views", "blind", {"views": columns}, annotations.facts, (blind,))
+    (made,) = lift(store, StageInputs({**given.manifests, "annotations": [blind], "views": [views]}, seed=1)).values()
     assert not made.tables
-    verdict = verdict_of(made)
-    assert verdict is not None
+    verdict = judged(made)
     assert verdict.level is Level.FAIL
     assert "40 annotated pairs show too little" in verdict.reason
     assert made.facts["skipped"] == ["blind: 40 annotated pairs were not lifted, too little was seen"]
@@ -358,11 +334,7 @@ def test_spans_are_a_gap_apart_and_those_between_key_frames_up_to_twice_that() -
     assert every == [(frame, frame + 4) for frame in range(7)]
     assert [one.frame for one, _ in _spans(at(*range(11)), 3, 4)] == evenly_spread(7, 3).tolist()
     places = [*at(20, 8, 3, 1, 0), *at(5, 12, name="b"), *at(7, 16, name="b", person=1), *at(9, name="c")]
-    assert set(_spans(places, 9, 4)) == {
-        tuple(at(1, 3)),
-        tuple(at(3, 8)),
-        tuple(at(5, 12, name="b")),
-    }
+    assert set(_spans(places, 9, 4)) == {tuple(at(1, 3)), tuple(at(3, 8)), tuple(at(5, 12, name="b"))}
     assert _spans(at(3), 2, 4) == []
 
 

@@ -21,7 +21,7 @@ from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import priors, views
 from tasks.priors import read_limits, read_torso_basis
 from tasks.stage import Shard, StageInputs
-from tasks.stage.judgements import verdict_of
+from tests.builders.ingest_runs import judged
 from tests.builders.poses import dancers, wild
 from tests.builders.storage_rows import MADE_UP, put, take_rows
 
@@ -47,11 +47,7 @@ def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manif
     yaws, pitches = sample_views(np.random.default_rng(8), count)
     for index in range(count):
         view = frame_take(
-            pairs[index],
-            pairs[index][:, 0],
-            distance_m=4.0,
-            yaw_rad=yaws[index],
-            pitch_rad=pitches[index],
+            pairs[index], pairs[index][:, 0], distance_m=4.0, yaw_rad=yaws[index], pitch_rad=pitches[index]
         )
         sequence_id = f"{name}.view{index:03d}"
         truth[sequence_id] = true_direction(pairs[index], view.camera)
@@ -119,8 +115,7 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert facts["valid_share"] > 0.95
     basis = read_torso_basis(store, (ref,))
     assert basis.components_m.shape == (4, 6, 3)
-    verdict = verdict_of(store.manifest(ref))
-    assert verdict is not None
+    verdict = judged(store.manifest(ref))
     assert verdict.level is Level.PASS
     assert verdict.value >= verdict.baseline > 0.0
     limits = read_limits(store, [ref])
@@ -149,8 +144,7 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
     assert facts["takes"] == []
     assert "no prior take" in facts["origin"]
     assert len(read_torso_basis(store, (ref,)).components_m) == 4
-    verdict = verdict_of(store.manifest(ref))
-    assert verdict is not None
+    verdict = judged(store.manifest(ref))
     assert "no prior take is named" in verdict.reason
     np.testing.assert_allclose(read_limits(store, [ref]).lower_rad, JointLimits.published().lower_rad, atol=1e-6)
 
@@ -159,17 +153,13 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
 def test_priors_of_few_poses_are_the_defaults_and_that_is_said(tmp_path: Path, frames: int, is_learned: bool) -> None:
     store = Store(tmp_path)
     (ref,) = run(priors, store, {"poses": [put_take(store, "waltz", is_prior=True, frames=frames)]})
-    facts, verdict = store.manifest(ref).facts, verdict_of(store.manifest(ref))
-    assert verdict is not None
+    facts, verdict = store.manifest(ref).facts, judged(store.manifest(ref))
     assert (facts["num_poses"], facts["takes"]) == (2 * frames, ["waltz"])
     if is_learned:
         assert (facts["origin"], verdict.level, verdict.reason) == ("prior takes", Level.PASS, "")
     else:
         assert facts["origin"].endswith(": 8 prior poses are too few")
-        assert (verdict.level, verdict.reason) == (
-            Level.WARN,
-            "8 prior poses are too few to learn from; 10 are needed",
-        )
+        assert (verdict.level, verdict.reason) == (Level.WARN, "8 prior poses are too few to learn from; 10 are needed")
         np.testing.assert_array_equal(read_torso_basis(store, (ref,)).mean_m, duet_torso_basis().mean_m)
 
 
@@ -199,8 +189,7 @@ def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path:
     assert facts["learned_takes"] == ["hug"]
     assert facts["num_annotations"] == 30
     assert facts["num_without_view"] == 1
-    verdict = verdict_of(store.manifest(ref))
-    assert verdict is not None
+    verdict = judged(store.manifest(ref))
     assert verdict.level is Level.PASS
     assert 0.9 < verdict.value <= 1.0
     assert facts["skipped"] == [
@@ -233,8 +222,7 @@ def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> 
     annotations, _ = put_annotations(store, "solo", persons=1)
     (ref,) = run(views, store, {"annotations": [annotations]})
     assert store.manifest(ref).tables["views"].rows == 0
-    verdict = verdict_of(store.manifest(ref))
-    assert verdict is not None
+    verdict = judged(store.manifest(ref))
     assert (verdict.level, verdict.reason) == (Level.PASS, "no annotated frame shows two people who are partners")
     skipped = store.manifest(ref).facts["skipped"]
     assert skipped[0] == "solo.view000: 1 frame skipped, nobody has a partner"

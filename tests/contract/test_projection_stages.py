@@ -278,9 +278,7 @@ def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kep
     assert "no projection database" in store.manifest(ref).facts["skipped"][0]
 
 
-def test_cameras_reach_the_database_and_who_reads_it(
-    store: Store,
-) -> None:
+def test_cameras_reach_the_database_and_who_reads_it(store: Store) -> None:
     settings = {"pitches_deg": (8.5,)}
     built = build(store, [put_take(store, name) for name in "ab"], settings=settings)
     assert projections.read_cameras(built) == (DatabaseCamera(np.deg2rad(8.5)),)

@@ -20,11 +20,9 @@ from tasks.rows.draw_sets import FILLED, GROWN, read_draw_sets
 from tasks.rows.selection import select_pairs
 from tasks.seeds.files import pair_of_draw
 from tasks.stage import StageInputs
-from tasks.stage.judgements import verdict_of
 from tasks.summary import summary_of
-from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
-
-__all__ = ["inputs"]
+from tests.builders.ingest_runs import judged
+from tests.builders.sampling_store import run, run_chains, with_seeds
 
 REPAIR = {"starts": "every", "densities": ("ic",), "num_views": 4, "repair_steps": 20}
 
@@ -48,7 +46,7 @@ def test_every_grown_and_filled_pair_is_repaired_once(repaired: Any) -> None:
     assert len(found) == is_possible.sum() > 20
     moved_m = np.linalg.norm(found - starts[is_possible], axis=-1).mean(axis=(1, 2))
     assert 0.001 < moved_m.mean() < 0.1
-    assert verdict_of(made[0]).count == 12
+    assert judged(made[0]).count == 12
     firsts = [int(store.read(one.ref, "draws")["seed_index"][0]) for one in made]
     assert [one.facts["seed_index"] for one in made] == firsts
     table = store.read(made[0].ref, "draws")
@@ -75,9 +73,8 @@ def test_what_a_pair_becomes_hangs_on_no_other_shard(repaired: Any) -> None:
 
 def test_of_a_study_with_repaired_pairs_only_those_are_selected_as_independent_ones(repaired: Any) -> None:
     store, given, made = repaired
-    few = ChainsParameters(**QUICK, num_chains=1, densities=("ic",), starts="seeds")
-    refs = tuple(manifest.ref for manifest in (*run(chains.plan(given, few), chains, store), *made, *given.of("seeds")))
-    selected = select_pairs(store, refs, 30)
+    drawn = run_chains(store, given, num_chains=1, densities=("ic",), starts="seeds")
+    selected = select_pairs(store, tuple(manifest.ref for manifest in (*drawn, *made, *given.of("seeds"))), 30)
     assert set(selected.columns["origin"]) == {"repaired"}
     (kept,) = read_draw_sets(store, [one.ref for one in made]).values()
     pairs = kept.pairs_m.astype(np.float64)
@@ -105,8 +102,7 @@ def test_every_shard_learns_its_scales_with_numbers_of_its_own(repaired: Any, mo
 
 def test_repaired_pairs_are_counted_apart_from_the_draws_of_chains(repaired: Any) -> None:
     store, given, made = repaired
-    few = ChainsParameters(**QUICK, num_chains=1, densities=("ic",), starts="seeds")
-    drawn = run(chains.plan(given, few), chains, store)
+    drawn = run_chains(store, given, num_chains=1, densities=("ic",), starts="seeds")
     (alone,) = summary_of(drawn).made
     draws, others = summary_of([*drawn, *made]).made
     assert draws == alone

@@ -25,24 +25,22 @@ from tasks.chains import ChainSegmentParameters, ChainsParameters
 from tasks.chains.run import chain_problem
 from tasks.rows.annotated_pairs import gather, gather_tracks
 from tasks.stage import StageInputs
-from tasks.stage.judgements import verdict_of
-from tests.builders.sampling_store import (
-    QUICK,
-    draws_of,
-    inputs,
-    run,
-    with_seeds,
-)
+from tests.builders.ingest_runs import judged
+from tests.builders.sampling_store import draws_of, plan_chains, run, run_chains, with_seeds
 from tests.builders.storage_rows import put
 
-__all__ = ["inputs"]
+
+@pytest.fixture
+def seeded(inputs: Any) -> tuple[Store, StageInputs]:
+    """Return the store and what chains read of it, with one seed."""
+    store, tables = inputs
+    return store, with_seeds(store, tables, num_seeds=1)
 
 
 def test_chains_start_from_some_of_the_grown_seeds(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=2)
-    options = {**QUICK, "num_chains": 1, "densities": ("ic",)}
-    planned = chains.plan(given, ChainsParameters(**options))
+    planned = plan_chains(given, num_chains=1, densities=("ic",))
     starts = given.of("seeds")[-1].facts["starts"]
     assert (
         starts == with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=5).of("seeds")[-1].facts["starts"][:2]
@@ -61,9 +59,8 @@ def test_chains_start_from_some_of_the_grown_seeds(inputs: Any) -> None:
 def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables)
-    planned = chains.plan(given, ChainsParameters(**QUICK))
-    assert len(planned) == 2 * 2 * (2 * 2 + 1)
-    made = run(planned, chains, store)
+    made = run_chains(store, given)
+    assert len(made) == 2 * 2 * (2 * 2 + 1)
     assert len(draws_of(made, store)) == 2 * 2 * 2 * 8
     summaries = [manifest for manifest in made if "chain_info" in manifest.tables]
     assert len(summaries) == 4
@@ -73,16 +70,13 @@ def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
         assert ((np.asarray(info["acceptance_rate"]) > 0) & (np.asarray(info["acceptance_rate"]) <= 1)).all()
         assert set(info["verdict"]) == {"warn"}
         assert all("not mixed: " in reason for reason in info["reason"])
-        verdict = verdict_of(manifest)
-        assert verdict is not None
+        verdict = judged(manifest)
         assert (verdict.level, verdict.figure, verdict.count) == (Level.WARN, "effective sample size", 2)
 
 
-def test_every_draw_keeps_the_annotation_it_is_nearest_to(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    planned = [one for one in chains.plan(given, ChainsParameters(**QUICK)) if one.name == "chain1-segment0"]
-    for shard in planned:
+def test_every_draw_keeps_the_annotation_it_is_nearest_to(seeded: Any) -> None:
+    store, given = seeded
+    for shard in (one for one in plan_chains(given) if one.name == "chain1-segment0"):
         options = shard.options(ChainSegmentParameters)
         table = store.read(chains.run_shard(shard, store), "draws")
         likelihood = chain_problem(shard, options, store).evidence.likelihood
@@ -107,22 +101,20 @@ def test_every_draw_keeps_the_annotation_it_is_nearest_to(inputs: Any) -> None:
             assert table["log_likelihood"][row] <= -distance / (2.0 * likelihood.sigma_l**2) + 1e-6
 
 
-def test_chains_of_a_seed_start_apart_unless_they_are_told_not_to(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
+def test_chains_of_a_seed_start_apart_unless_they_are_told_not_to(seeded: Any) -> None:
+    store, given = seeded
     apart = {}
     for count in (0, 30):
-        quick = {**QUICK, "num_warm_up": 0, "densities": ("ic",), "num_dispersing": count}
-        planned = [one for one in chains.plan(given, ChainsParameters(**quick)) if one.name.endswith("segment0")]
-        first, second = (store.read(chains.run_shard(one, store), "draws")["pair17_m"][0] for one in planned)
+        planned = plan_chains(given, num_warm_up=0, densities=("ic",), num_dispersing=count)
+        begun = [chains.run_shard(shard, store) for shard in planned if shard.name.endswith("segment0")]
+        first, second = (store.read(ref, "draws")["pair17_m"][0] for ref in begun)
         apart[count] = cartesian_dissimilarity(first.reshape(-1, 3), second.reshape(-1, 3))
     assert apart[30] > 2.0 * apart[0]
 
 
 def test_held_out_annotations_never_enter_a_chain(inputs: Any) -> None:
     store, tables = inputs
-    given = with_seeds(store, tables)
-    planned = chains.plan(given, ChainsParameters(**QUICK))
+    planned = plan_chains(with_seeds(store, tables))
     hidden = {manifest.ref for manifest in (*tables["annotations"], *tables["views"]) if manifest.facts["is_held_out"]}
     assert not any(hidden.intersection(shard.all_inputs) for shard in planned)
     made = run(planned[:1], chains, store)
@@ -159,41 +151,33 @@ def test_stills_numbered_like_a_video_have_no_speed(inputs: Any) -> None:
     assert np.isfinite(moving[of_stills][:, [1, 3]]).all()
 
 
-def test_more_draws_and_chains_extend_and_never_recompute(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    few = {shard.key for shard in chains.plan(given, ChainsParameters(**QUICK)) if shard.name != "summary"}
-    more = {**QUICK, "num_draws": 16, "num_chains": 3}
-    assert few < {shard.key for shard in chains.plan(given, ChainsParameters(**more))}
+def test_more_draws_and_chains_extend_and_never_recompute(seeded: Any) -> None:
+    _, given = seeded
+    few = {shard.key for shard in plan_chains(given) if shard.name != "summary"}
+    assert few < {shard.key for shard in plan_chains(given, num_draws=16, num_chains=3)}
 
 
-def test_prior_only_does_not_depend_on_annotations_or_the_likelihood(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    options = {**QUICK, "densities": ("prior_only",)}
-    base = [shard.key for shard in chains.plan(given, ChainsParameters(**options))]
-    other = StageInputs({**given.manifests, "annotations": [], "views": []}, seed=1)
-    changed = ChainsParameters(**{**options, "num_views": 7, "sigma_l": 0.02})
-    assert [shard.key for shard in chains.plan(other, changed)] == base
+def test_prior_only_depends_neither_on_annotations_nor_on_likelihood_or_proposal(seeded: Any) -> None:
+    _, given = seeded
+    blind = StageInputs({**given.manifests, "annotations": [], "views": []}, seed=1)
+    planned = [
+        plan_chains(given, densities=("prior_only",), proposal="unbiased"),
+        plan_chains(given, densities=("prior_only",), proposal="velocity"),
+        plan_chains(blind, densities=("prior_only",), num_views=7, sigma_l=0.02),
+    ]
+    assert len({tuple(shard.key for shard in shards) for shards in planned}) == 1
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"num_warm_up": 0},
-        {"proposal": "velocity", "num_warm_up": 6},
-    ],
-    ids=["plain", "everything"],
+    "options", [{"num_warm_up": 0}, {"proposal": "velocity", "num_warm_up": 6}], ids=["plain", "everything"]
 )
 def test_segments_continue_exactly_and_order_of_chains_does_not_matter(
-    inputs: Any, options: dict[str, Any], tmp_path: Path
+    seeded: Any, options: dict[str, Any], tmp_path: Path
 ) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    short = chains.plan(given, ChainsParameters(**{**QUICK, **options}))
-    long = chains.plan(given, ChainsParameters(**{**QUICK, **options, "segment_draws": 8}))
+    store, given = seeded
+    short = plan_chains(given, **options)
     first = draws_of(run(short, chains, store), store)
-    second = draws_of(run(long, chains, store), store)
+    second = draws_of(run_chains(store, given, **options, segment_draws=8), store)
     assert first.keys() == second.keys()
     for place, parameters in first.items():
         np.testing.assert_array_equal(parameters, second[place])
@@ -207,11 +191,9 @@ def test_segments_continue_exactly_and_order_of_chains_does_not_matter(
         assert chains.run_shard(shard, again).content_digest == digests[shard.key]
 
 
-def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    planned = [s for s in chains.plan(given, ChainsParameters(**QUICK)) if s.name == "chain0-segment0"]
-    for shard in planned:
+def test_log_density_recomputed_from_stored_draws_is_the_stored_one(seeded: Any) -> None:
+    store, given = seeded
+    for shard in (one for one in plan_chains(given) if one.name == "chain0-segment0"):
         table = store.read(chains.run_shard(shard, store), "draws")
         options = shard.options(ChainSegmentParameters)
         chart = PairChart(np.asarray(store.read(shard.ref("seed"), "seeds")["pair17_m"][0]))
@@ -220,18 +202,15 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
         density = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
         for row in range(table.num_rows):
             evaluation = density(np.asarray(table["parameters"][row]))
-            assert evaluation.log_density == pytest.approx(table["log_density"][row], rel=1e-9, abs=1e-9)
-            assert evaluation.log_prior == pytest.approx(table["log_prior"][row], rel=1e-9, abs=1e-9)
-            assert evaluation.log_likelihood == pytest.approx(table["log_likelihood"][row], rel=1e-9, abs=1e-9)
+            for name in ("log_density", "log_prior", "log_likelihood"):
+                assert getattr(evaluation, name) == pytest.approx(table[name][row], rel=1e-9, abs=1e-9)
             positions = chart.positions(np.asarray(table["parameters"][row]))
             np.testing.assert_allclose(table["pair17_m"][row], positions, atol=1e-6)
 
 
-def test_warm_up_learns_scales_that_every_later_segment_keeps(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    options = {**QUICK, "proposal": "velocity", "num_warm_up": 20, "num_chains": 1}
-    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
+def test_warm_up_learns_scales_that_every_later_segment_keeps(seeded: Any) -> None:
+    store, given = seeded
+    made = run_chains(store, given, proposal="velocity", num_warm_up=20, num_chains=1)
     states = [store.read(one.ref, "chain_states") for one in made if "chain_states" in one.tables]
     for first, second in zip(states[::2], states[1::2], strict=True):
         learned = [proposal_from_json(str(one["proposal_state"][0]))[0] for one in (first, second)]
@@ -240,27 +219,16 @@ def test_warm_up_learns_scales_that_every_later_segment_keeps(inputs: Any) -> No
         assert list(first["num_draws"]) == [4]
 
 
-def test_the_proposal_does_not_enter_the_keys_of_densities_without_annotations(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    options = {**QUICK, "densities": ("prior_only",)}
-    keys = [
-        [shard.key for shard in chains.plan(given, ChainsParameters(**options, proposal=proposal))]
-        for proposal in ("unbiased", "velocity")
-    ]
-    assert keys[0] == keys[1]
-
-
 def test_variants_are_sampled_beside_densities_under_their_own_names(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=2)
-    options = {**QUICK, "num_chains": 1, "densities": ("ic",), "starts": "seeds"}
+    options: dict[str, Any] = {"num_chains": 1, "densities": ("ic",), "starts": "seeds"}
     sweep = {
         "hotter": {"sigma_l": 0.05},
         "grown_prior": {"densities": ["prior_only"], "starts": "grown", "num_draws": 4},
     }
-    base = [shard.key for shard in chains.plan(given, ChainsParameters(**options))]
-    planned = chains.plan(given, ChainsParameters(**options, sweep=sweep))
+    base = [shard.key for shard in plan_chains(given, **options)]
+    planned = plan_chains(given, **options, sweep=sweep)
     assert [shard.key for shard in planned[: len(base)]] == base
     made = run(planned, chains, store)
     found = draws_of(made, store)
@@ -271,27 +239,27 @@ def test_variants_are_sampled_beside_densities_under_their_own_names(inputs: Any
     assert {one.facts["density"] for one in made} == {"ic", "hotter", "grown_prior"}
 
 
-@pytest.mark.parametrize("name", ["ic", "Hot"])
-def test_a_sweep_has_a_name_of_its_own(name: str) -> None:
-    with pytest.raises(ValueError, match="sweep"):
-        ChainsParameters(sweep={name: {}})
-
-
-def test_proposals_that_cannot_be_are_refused_before_anything_runs() -> None:
-    with pytest.raises(ValueError, match="there is no proposal 'faster'; there are: unbiased, velocity"):
-        ChainsParameters(proposal="faster")
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ({"sweep": {"ic": {}}}, "sweep"),
+        ({"sweep": {"Hot": {}}}, "sweep"),
+        ({"proposal": "faster"}, "there is no proposal 'faster'; there are: unbiased, velocity"),
+    ],
+)
+def test_proposals_and_names_of_sweeps_that_cannot_be_are_refused(section: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ChainsParameters(**section)
 
 
 def test_no_views_means_no_chains_of_the_full_density(inputs: Any) -> None:
     store, tables = inputs
-    given = with_seeds(store, {"poses": tables["poses"]}, num_seeds=1)
-    planned = chains.plan(given, ChainsParameters(**QUICK))
+    planned = plan_chains(with_seeds(store, {"poses": tables["poses"]}, num_seeds=1))
     assert {shard.parameters.name for shard in planned} == {"prior_only"}
 
 
-def test_a_missing_segment_is_named(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    later = next(s for s in chains.plan(given, ChainsParameters(**QUICK)) if s.name == "chain0-segment1")
+def test_a_missing_segment_is_named(seeded: Any) -> None:
+    store, given = seeded
+    later = next(shard for shard in plan_chains(given) if shard.name == "chain0-segment1")
     with pytest.raises(InputError, match="is not in the store"):
         chains.run_shard(later, store)

@@ -18,16 +18,8 @@ from tasks import priors, seeds
 from tasks.priors import PriorsParameters
 from tasks.seeds import SeedFrame, SeedsParameters
 from tasks.stage import StageInputs
-from tasks.stage.judgements import verdict_of
-from tests.builders.sampling_store import (
-    inputs,
-    pairs_of,
-    put,
-    run,
-    with_seeds,
-)
-
-__all__ = ["inputs"]
+from tests.builders.ingest_runs import judged
+from tests.builders.sampling_store import pairs_of, put, run, with_seeds
 
 
 def test_seeds_come_from_pair_takes_that_are_not_held_out(inputs: Any) -> None:
@@ -81,8 +73,7 @@ def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None
     assert all(generation[row] == generation.get(above, 0) + 1 for row, above in zip(index, parent, strict=True))
     assert set(facts["starts"]) <= set(index.tolist())
     assert np.isfinite(np.asarray(table["log_prior"])).all()
-    verdict = verdict_of(made[-1])
-    assert verdict is not None
+    verdict = judged(made[-1])
     assert (verdict.level, verdict.value, verdict.count) == (Level.PASS, 100.0 * table.num_rows / 30, 30)
 
 
@@ -110,8 +101,7 @@ def test_pairs_are_filled_in_between_grown_ones_with_their_parents(inputs: Any) 
 def test_nothing_is_filled_in_between_too_few_pairs(inputs: Any) -> None:
     store, tables = inputs
     (*_, made) = with_seeds(store, tables, num_seeds=1, num_grown=4, num_filled=5).of("seeds")
-    verdict = verdict_of(made)
-    assert verdict is not None
+    verdict = judged(made)
     assert (verdict.level, verdict.value, store.read(made.ref, "seeds").num_rows) == (Level.WARN, 0.0, 0)
 
 
@@ -168,37 +158,29 @@ def test_the_number_of_invalid_angles_that_a_study_allows_decides_whether_a_seed
     store, tables = inputs
     mirrored = _changed(store, tables["poses"][0], "mirrored", lambda pairs: pairs * np.array([-1.0, 1.0, 1.0]))
     frames = [SeedFrame(take="one", frame=3)]
-    for allowed, level in ((0, Level.FAIL), (58, Level.PASS)):
-        given = with_seeds(store, {**tables, "poses": [mirrored]}, frames=frames, max_invalid_angles=allowed)
-        verdict = verdict_of(given.of("seeds")[-1])
-        assert verdict is not None
-        assert verdict.level is level
-    (strict, *_) = with_seeds(store, {**tables, "poses": [mirrored]}, frames=frames, max_invalid_angles=0).of("seeds")
-    assert "at most 0 may be: no chain can start here" in verdict_of(strict).reason
+    strict, loose = (
+        judged(
+            with_seeds(store, {**tables, "poses": [mirrored]}, frames=frames, max_invalid_angles=count).of("seeds")[-1]
+        )
+        for count in (0, 58)
+    )
+    assert (strict.level, loose.level) == (Level.FAIL, Level.PASS)
+    assert "at most 0 may be: no chain can start here" in strict.reason
 
 
-def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(
-    inputs: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("farthest_m", "asked", "level", "num_grown"),
+    [(1e-6, {"num_seeds": 1}, Level.WARN, 1), (1e-12, {"frames": [SeedFrame(take="two", frame=7)]}, Level.FAIL, 0)],
+)
+def test_growth_that_hardly_reaches_anything_is_warned_of_and_has_failed_where_it_reaches_nothing(
+    inputs: Any, monkeypatch: pytest.MonkeyPatch, farthest_m: float, asked: dict[str, Any], level: Level, num_grown: int
 ) -> None:
     store, tables = inputs
-    monkeypatch.setattr("pasdedeux.sampling.growth.FARTHEST_M", 1e-6)
-    made = with_seeds(store, tables, num_seeds=1, num_grown=30).of("seeds")
-    verdict = verdict_of(made[-1])
-    assert verdict is not None
-    assert verdict.level is Level.WARN
-    assert "1 of 30 pairs grew" in verdict.reason
+    monkeypatch.setattr("pasdedeux.sampling.growth.FARTHEST_M", farthest_m)
+    verdict = judged(with_seeds(store, tables, **asked, num_grown=30).of("seeds")[-1])
+    assert verdict.level is level
+    assert f"{num_grown} of 30 pairs grew" in verdict.reason
     assert "lie farther than 0.25 m" in verdict.reason
-
-
-def test_growth_that_reaches_nothing_has_failed(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, tables = inputs
-    monkeypatch.setattr("pasdedeux.sampling.growth.FARTHEST_M", 1e-12)
-    frames = [SeedFrame(take="two", frame=7)]
-    made = with_seeds(store, tables, frames=frames, num_grown=30).of("seeds")
-    verdict = verdict_of(made[-1])
-    assert verdict is not None
-    assert verdict.level is Level.FAIL
-    assert "0 of 30 pairs grew" in verdict.reason
 
 
 def test_seeds_asked_of_annotations_that_are_not_there_are_refused() -> None:

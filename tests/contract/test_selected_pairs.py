@@ -13,13 +13,9 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import MIN_LOG_PRIOR
 from storage_schema import TABLES, ShardRecord, open_table, record_latest
-from tasks import chains
-from tasks.chains import ChainsParameters
 from tasks.priors import read_limits
 from tasks.rows.selection import select_pairs
-from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
-
-__all__ = ["inputs"]  # the fixture
+from tests.builders.sampling_store import QUICK, run_chains, with_seeds
 
 
 def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_and_go_out_as_a_table(
@@ -27,8 +23,7 @@ def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_a
 ) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=12)
-    asked = ChainsParameters(**QUICK, densities=("ic", "prior_only"), starts="seeds")
-    made = run(chains.plan(given, asked), chains, store)
+    made = run_chains(store, given, densities=("ic", "prior_only"), starts="seeds")
     stages = {"seeds": [*given.of("seeds")], "chains": made}
     shards = {name: [ShardRecord.of(one, store) for one in of] for name, of in stages.items()}
     record_latest(store, "mine", "run", shards)

@@ -12,9 +12,7 @@ from tasks.lifting import LiftingParameters
 from tasks.rows.annotated_pairs import PLACE_COLUMNS, PairPlace, gather, gather_tracks, place_of
 from tasks.stage import StageInputs
 from tasks.views import ViewsParameters
-from tests.builders.sampling_store import inputs, put, with_seeds
-
-__all__ = ["inputs"]  # the fixture
+from tests.builders.sampling_store import put, with_seeds
 
 
 def together(store: Store, manifest: Manifest, table: str, inputs: tuple[Manifest, ...] = ()) -> Manifest:

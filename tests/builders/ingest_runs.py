@@ -28,6 +28,13 @@ def run(store: Store, shards: list[Shard]) -> dict[tuple[str, str], Manifest]:
     return {key: store.manifest(ref) for key, ref in refs.items()}
 
 
+def ingest_take(store: Store, take: dict[str, Any], **section: Any) -> Manifest:
+    """Ingest one take, without virtual video of it."""
+    quiet = {"num_videos": 0, "num_random_views": 0}
+    (made,) = run(store, planned(takes=[take], virtual_video=quiet, **section)).values()
+    return made
+
+
 def judged(manifest: Manifest) -> Verdict:
     verdict = verdict_of(manifest)
     assert verdict is not None

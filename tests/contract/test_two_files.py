@@ -26,7 +26,7 @@ from pasdedeux.skeletons.layouts import LAYOUTS
 from storage_schema import Store
 from tasks.files.user_files import read_file
 from tasks.ingest.takes.parameters import TakeParameters
-from tests.builders.ingest_runs import judged, planned, run
+from tests.builders.ingest_runs import ingest_take, judged, planned, run
 from tests.builders.rigs import RIGS
 
 DURATION_S = 2.0
@@ -77,13 +77,11 @@ def turned_to(motion: Motion, axis: str) -> Motion:
 
 
 @pytest.mark.parametrize("rates_hz", [(30.0, 60.0), (120.0, 50.0), (60.0, 60.006), (60.0, 59.94)])
-def test_files_of_two_rates_are_brought_together_by_time(tmp_path: Path, rates_hz: tuple[float, float]) -> None:
+def test_files_of_two_rates_are_brought_together_by_time(
+    store: Store, tmp_path: Path, rates_hz: tuple[float, float]
+) -> None:
     take = {"id": "waltz", "files": write_two(tmp_path, *rates_hz), "floor": "keep"}
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
-    shards = planned(takes=[take], rate_hz=60.0, **options)
-    store = Store(tmp_path / "store")
-    (made,) = run(store, shards).values()
-    places = body22_of(store, made.ref)
+    places = body22_of(store, ingest_take(store, take, rate_hz=60.0).ref)
     times_s = np.arange(len(places)) / 60.0
     assert times_s[-1] > DURATION_S - 0.1
     for person in (0, 1):
@@ -114,13 +112,10 @@ def test_without_a_study_the_npz_of_an_export_states_the_unit(
 
 
 @pytest.mark.parametrize("offset_s", [0.25, 0.26, -0.255])
-def test_a_file_that_began_earlier_is_shifted_in_time(tmp_path: Path, offset_s: float) -> None:
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
+def test_a_file_that_began_earlier_is_shifted_in_time(store: Store, tmp_path: Path, offset_s: float) -> None:
     take = {"id": "waltz", "files": write_two(tmp_path, 120.0, 60.0), "floor": "keep"}
-    shards = planned(takes=[take | {"persons": [{}, {"offset_s": offset_s}]}], rate_hz=30.0, **options)
-    store = Store(tmp_path / "store")
-    (made,) = run(store, shards).values()
-    places = body22_of(store, made.ref)
+    take["persons"] = [{}, {"offset_s": offset_s}]
+    places = body22_of(store, ingest_take(store, take, rate_hz=30.0).ref)
     assert len(places) == pytest.approx((DURATION_S - abs(offset_s)) * 30.0, abs=1.5)
     for person, late_s in enumerate((max(-offset_s, 0.0), max(offset_s, 0.0))):
         times_s = late_s + np.arange(len(places)) / 30.0
@@ -137,35 +132,13 @@ def test_files_of_two_rates_and_lengths_are_refused_in_seconds(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("axis", ["z", "x"])
-def test_a_partner_in_other_axes_does_not_float(tmp_path: Path, axis: str) -> None:
+def test_a_partner_in_other_axes_does_not_float(store: Store, tmp_path: Path, axis: str) -> None:
     files = write_two(tmp_path, 60.0, 60.0)
     files[1].write_text(write_bvh(turned_to(waltz(60.0)[1], axis)))
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
-    store = Store(tmp_path / "store")
-    (made,) = run(store, planned(takes=[{"id": "waltz", "files": files}], rate_hz=60.0, **options)).values()
+    made = ingest_take(store, {"id": "waltz", "files": files}, rate_hz=60.0)
     assert list(store.read(made.ref, "takes")["up_axis"]) == ["y", axis]
     heads = body22_of(store, made.ref)[:, :, 15, 1].mean(axis=0)
     assert np.ptp(heads) < 0.3
-
-
-def test_a_partner_who_lies_has_the_axis_of_the_other(tmp_path: Path) -> None:
-    """The rest pose stands along y, so a body along z lies on the floor."""
-    files = write_two(tmp_path, 60.0, 60.0)
-    lying = turned_to(waltz(60.0)[1], "z")
-    files[1].write_text(write_bvh(replace(lying, rest_offsets_m=waltz(60.0)[1].rest_offsets_m, local_unitquat=_laid())))
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
-    store = Store(tmp_path / "store")
-    (made,) = run(store, planned(takes=[{"id": "waltz", "files": files}], rate_hz=60.0, **options)).values()
-    assert list(store.read(made.ref, "takes")["up_axis"]) == ["y", "y"]
-
-
-def _laid() -> np.ndarray:
-    """Return local rotations of the second person, whose root is turned so that the body lies along z."""
-    motion = waltz(60.0)[1]
-    local = motion.local_unitquat.copy()
-    turn = np.broadcast_to(conjugate(upright_from_file("z")), local[:, 0].shape)
-    local[:, motion.skeleton.root] = multiply(turn, local[:, motion.skeleton.root])
-    return local
 
 
 def test_people_of_two_rigs_are_one_take(tmp_path: Path) -> None:
@@ -174,14 +147,13 @@ def test_people_of_two_rigs_are_one_take(tmp_path: Path) -> None:
     for name in ("mixamo with a namespace", "lafan1", "xsens"):
         files.append(tmp_path / f"{len(files)}.bvh")
         files[-1].write_text(rigs[name].bvh())
-    (shard,) = planned(takes=[{"id": "three", "files": files}], virtual_video={"num_videos": 0, "num_random_views": 0})
+    shard, *_ = planned(takes=[{"id": "three", "files": files}])
     assert [person.layout for person in shard.options(TakeParameters).persons] == ["mixamo", "lafan", "xsens"]
 
 
-def test_a_shard_reads_each_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shard_reads_each_file_once(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = write_two(tmp_path, 30.0, 30.0)
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
-    shards = planned(takes=[{"id": "waltz", "files": files}], **options)
+    take, *_ = planned(takes=[{"id": "waltz", "files": files}])
     opened: list[Path] = []
 
     def read(path: Path) -> bytes:
@@ -189,18 +161,16 @@ def test_a_shard_reads_each_file_once(tmp_path: Path, monkeypatch: pytest.Monkey
         return read_file(path)
 
     monkeypatch.setattr("tasks.ingest.files.read_file", read)
-    run(Store(tmp_path / "store"), shards)
+    run(store, [take])
     assert sorted(opened) == files
 
 
-def test_two_people_on_one_rig_are_no_error_and_need_no_split_before_training(tmp_path: Path) -> None:
+def test_two_people_on_one_rig_are_no_error_and_need_no_split_before_training(store: Store, tmp_path: Path) -> None:
     first = make_duet("waltz", duration_s=DURATION_S, rate_hz=30.0).motions
     files = [tmp_path / "a.bvh", tmp_path / "b.bvh"]
     for path, motion in zip(files, first, strict=True):
         path.write_text(write_bvh(replace(motion, rest_offsets_m=first[0].rest_offsets_m)))
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}}
-    (made,) = run(Store(tmp_path / "store"), planned(takes=[{"id": "w", "files": files}], **options)).values()
-    assert "betas" not in judged(made).reason
+    assert "betas" not in judged(ingest_take(store, {"id": "w", "files": files})).reason
     study = tmp_path / "mine.toml"
     write_new_study(study, files)
     study.write_text(f"{study.read_text()}\n[augmentation]\nscales = [0.75, 1.25]\n")
@@ -232,13 +202,12 @@ def test_a_partner_whose_names_are_exchanged_is_no_mirror_image(tmp_path: Path) 
     other = {"Left": "Right", "Right": "Left"}
     files = [tmp_path / "a.bvh", tmp_path / "b.bvh"]
     files[0].write_text(rig.bvh())
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}, "rate_hz": 30.0}
     take = {"id": "walk", "metres_per_unit": 0.01, "files": files}
     moved: dict[str, Any] = {"translation_m": [1.0, 0.0, 0.5]}
 
     def made(name: str, **second: Any) -> tuple[np.ndarray, str]:
         store = Store(tmp_path / name)
-        (built,) = run(store, planned(takes=[take | {"persons": [{}, moved | second]}], **options)).values()
+        built = ingest_take(store, take | {"persons": [{}, moved | second]}, rate_hz=30.0)
         return body22_of(store, built.ref), judged(built).reason
 
     files[1].write_text(f"{rig.bvh()}\n")

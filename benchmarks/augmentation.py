@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.benchmark import BenchmarkResult, measure
+from benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.arrays import Array
 from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
@@ -44,12 +44,12 @@ def _bulk() -> BenchmarkResult:
     return BenchmarkResult(
         "augmentation: batch of variants",
         "frames of a variant",
-        *measure(
+        *measure_rate(
             f"ADMM, {_VARIANTS} variants at once",
             lambda: solver.solve(build_targets(problem, scales)),
             count=_FRAMES * _VARIANTS,
         ),
-        *measure(
+        *measure_rate(
             "guaranteed descent, one at a time",
             lambda: descend(targets_of_two, 0, fit_terms(problem, targets_of_two, 0), settings=settings),
             count=_FRAMES,

@@ -1,7 +1,7 @@
 """The result of a benchmark: work per second of the fast form and of its plain baseline, measured in the same run.
 
 A module offers benchmarks as `BENCHMARKS: dict[str, Callable[[], BenchmarkResult]]`, each of the form
-`BenchmarkResult(name, unit, *measure(fast form), *measure(plain form), note)`.
+`BenchmarkResult(name, unit, *measure_rate(fast form), *measure_rate(plain form), note)`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Rate(NamedTuple):
     per_s: float
 
 
-def measure(name: str, work: Callable[[], object], *, count: int = 1, repeats: int = 3) -> Rate:
+def measure_rate(name: str, work: Callable[[], object], *, count: int = 1, repeats: int = 3) -> Rate:
     """Return the rate of the work per second of processor time, the best of several repeats of 0.3 s or more.
 
     The first call, which may compile, is not timed.  Waiting for a busy machine does not count.

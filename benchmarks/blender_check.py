@@ -57,7 +57,7 @@ def load(path: Path, metres_per_unit: float) -> tuple[bpy.types.Object, str]:
         return bpy.context.object, said.read()
 
 
-def check(path: Path) -> None:
+def check_file(path: Path) -> None:
     """Check one file against its npz; an AssertionError names the difference."""
     made = dict(np.load(path.with_suffix(".npz")))
     names, parents, truth = made["joint_names"].tolist(), made["parents"].tolist(), made["positions_m"]
@@ -229,7 +229,7 @@ if __name__ == "__main__":
     assert any(files.values()), f"there is no BVH or GLB file in {' '.join(sys.argv[1:]) or 'nothing'}"
     for file in files[".bvh"]:
         if file.with_suffix(".npz").exists():
-            check(file)
+            check_file(file)
         else:
             rig, told = load(file, 0.01)
             assert "zero length" not in told, told

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.film_figures import say
+from benchmarks.film_figures import print_now
 from pasdedeux.film.annotating import annotate_shot
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.people.resolution import resolve_people
@@ -116,7 +116,7 @@ def views(data: Path, database: SearchedDatabase) -> dict[str, list[tuple[float,
                         continue
                     pose, place = seen_errors_m(method.people, truth_m, cameras[0], has_best_scale=has_best_scale)
                     found.setdefault(f"{key}{said}", []).append((pose, place))
-                    say(f"salsa {take}, {key}{said}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
+                    print_now(f"salsa {take}, {key}{said}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
     return found
 
 
@@ -138,10 +138,10 @@ def main() -> None:
             film = render(bodies, turn_rad=0.0, yaw_rad=yaw_rad, moves=moves, blur=1, seed=5, size=(960, 540))
             pose, place = errors_m(film, truth_m, moves, database)
             found.setdefault(camera, []).append((pose, place))
-            say(f"salsa {take}, {camera}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
+            print_now(f"salsa {take}, {camera}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
     for camera, both in found.items():
         pose, place = 100.0 * np.mean(both, axis=0)
-        say(f"mean, {camera}: pose {pose:.1f} cm, place {place:.1f} cm")
+        print_now(f"mean, {camera}: pose {pose:.1f} cm, place {place:.1f} cm")
 
 
 if __name__ == "__main__":

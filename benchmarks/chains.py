@@ -7,7 +7,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from benchmarks.benchmark import BenchmarkResult, in_turn, measure
+from benchmarks.benchmark import BenchmarkResult, in_turn, measure_rate
 from benchmarks.synthetic import (
     random_annotations,
     random_bank,
@@ -70,8 +70,8 @@ def _likelihood() -> BenchmarkResult:
     return BenchmarkResult(
         "likelihood",
         "evaluations",
-        *measure("only who has a chance", in_turn(likelihood.log_likelihood, _samples(), count=50), count=50),
-        *measure("all candidates", in_turn(likelihood.plain, _samples())),
+        *measure_rate("only who has a chance", in_turn(likelihood.log_likelihood, _samples(), count=50), count=50),
+        *measure_rate("all candidates", in_turn(likelihood.plain, _samples())),
         f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}",
     )
 
@@ -89,8 +89,8 @@ def _density() -> BenchmarkResult:
     return BenchmarkResult(
         "density, prior included",
         "evaluations",
-        *measure("compiled", in_turn(parts[0], parameters, count=50), count=50),
-        *measure("numpy, prior compiled", in_turn(partial(_plain_density, *parts), parameters)),
+        *measure_rate("compiled", in_turn(parts[0], parameters, count=50), count=50),
+        *measure_rate("numpy, prior compiled", in_turn(partial(_plain_density, *parts), parameters)),
         f"{_SIZE}; no floor and no limit of invalid angles ends one early",
     )
 
@@ -104,12 +104,12 @@ def _chain() -> BenchmarkResult:
     return BenchmarkResult(
         "chain",
         "steps",
-        *measure(
+        *measure_rate(
             "compiled, level drawn first",
             lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed),
             count=100,
         ),
-        *measure("numpy", lambda: _plain_density(*parts, propose(rng, state).parameters)),
+        *measure_rate("numpy", lambda: _plain_density(*parts, propose(rng, state).parameters)),
         _SIZE,
     )
 
@@ -120,8 +120,8 @@ def _triangulation() -> BenchmarkResult:
     return BenchmarkResult(
         "triangulation",
         "triangulations",
-        *measure("numba, incremental", lambda: delaunay_edges_fast(points), count=len(points)),
-        *measure("scipy (Qhull)", lambda: [delaunay_edges(one) for one in points], count=len(points)),
+        *measure_rate("numba, incremental", lambda: delaunay_edges_fast(points), count=len(points)),
+        *measure_rate("scipy (Qhull)", lambda: [delaunay_edges(one) for one in points], count=len(points)),
         "34 points",
     )
 
@@ -133,10 +133,10 @@ def _coverage() -> BenchmarkResult:
     return BenchmarkResult(
         "coverage",
         "comparisons",
-        *measure(
+        *measure_rate(
             "numba, both measures at once", lambda: Coverage(real).add(pair_table(draws)), count=len(real) * len(draws)
         ),
-        *measure("numpy", lambda: plain_coverage(real[:4], draws[:4]), count=16),
+        *measure_rate("numpy", lambda: plain_coverage(real[:4], draws[:4]), count=16),
         "200 real pairs, 100 draws, tetrahedra of the draws and of the real pairs included",
     )
 

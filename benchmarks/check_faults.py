@@ -39,7 +39,7 @@ from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.capture import JUDGED, check_capture
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
-from tasks.ingest.checking import pair_up, read_motion
+from tasks.ingest.checking import pair_up, read_checked_motion
 
 Array = npt.NDArray[np.float64]
 Plant = Callable[[Array, float, np.random.Generator], Array]
@@ -165,7 +165,7 @@ def salsa_clips(data: Path, count: int) -> Iterator[SampleClip]:
     """Yield windows of every take of salsa."""
     files = sorted((data / "cmu_salsa_bvh").glob("*.bvh"))
     for at, motion in enumerate(motions := pair_up(dict.fromkeys(files, 1))):
-        take = read_motion(motion)
+        take = read_checked_motion(motion)
         for number in range(at, count, len(motions)):
             yield _window(f"salsa {motion.name}", number, take.people_m, take.rate_hz)
 
@@ -229,7 +229,7 @@ class Measured:
     past: frozenset[str]
 
 
-def measure(clip: SampleClip) -> Measured:
+def measure_clip(clip: SampleClip) -> Measured:
     """Measure the capture of a clip."""
     people = check_capture(clip.people_m, rate_hz=clip.rate_hz)
     limits = {name: both for name, both in limits_of(JUDGED).items() if name != "body_difference_m"}
@@ -252,10 +252,10 @@ def _measured(
 
 def measure_all(clip: SampleClip, *, with_drift: bool) -> dict[str, tuple[Measured, Measured]]:
     """Measure a clip untouched and with each kind of fault; the seed is the number of the clip and the kind."""
-    untouched, changed = measure(clip), {}
+    untouched, changed = measure_clip(clip), {}
     for at, (kind, plant) in enumerate(FAULTS.items()):
         planted = plant(clip.people_m, clip.rate_hz, np.random.default_rng([SEED, clip.number, at]))
-        changed[kind] = untouched, measure(replace(clip, people_m=planted))
+        changed[kind] = untouched, measure_clip(replace(clip, people_m=planted))
     both = measure_drift(clip, np.random.default_rng([SEED, clip.number])) if with_drift else None
     return changed | ({"contact drift": both} if both is not None else {})
 
@@ -307,7 +307,7 @@ def main() -> None:
     by_kind: dict[str, list[tuple[Measured, Measured]]] = {kind: [] for kind in KINDS}
     with ProcessPoolExecutor(given.workers, get_context("forkserver")) as pool:
         clips = list(chain(duet_clips(half), salsa_clips(given.data, half)))
-        faulty = list(pool.map(measure, [one for one in clips if one.is_faulty]))
+        faulty = list(pool.map(measure_clip, [one for one in clips if one.is_faulty]))
         good = [(at, one) for at, one in enumerate(clips) if not one.is_faulty]
         for job in [pool.submit(measure_all, one, with_drift=given.drift > 0 == at % step) for at, one in good]:
             for kind, both in job.result().items():

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import scale
-from benchmarks.benchmark import BenchmarkResult, Rate, measure
+from benchmarks.benchmark import BenchmarkResult, Rate, measure_rate
 from benchmarks.scale import growth
 from flows.console.status import describe_store, read_studies
 from flows.machine import usable_cores
@@ -120,8 +120,10 @@ def _status() -> BenchmarkResult:
         return BenchmarkResult(
             "status of a store",
             "artifacts",
-            *measure("status", lambda: describe_store(store, read_studies(store)), count=_NUM_ARTIFACTS),
-            *measure("json of the manifests", lambda: [json.loads(p.read_bytes()) for p in paths], count=len(paths)),
+            *measure_rate("status", lambda: describe_store(store, read_studies(store)), count=_NUM_ARTIFACTS),
+            *measure_rate(
+                "json of the manifests", lambda: [json.loads(p.read_bytes()) for p in paths], count=len(paths)
+            ),
             f"{_NUM_ARTIFACTS:,} artifacts without tables",
         )
 

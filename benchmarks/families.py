@@ -208,7 +208,7 @@ def lasting_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     return 0.7 * (white + lasting)
 
 
-def reconstruct(
+def reconstruct_clip(
     seen: FilmedClip,
     database: SearchedDatabase,
     camera: StatedCamera | None = None,
@@ -231,7 +231,7 @@ class Row:
     verdict: str
 
 
-def rows_of(seen: FilmedClip, reconstruction: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
+def people_rows(seen: FilmedClip, reconstruction: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
     """Yield everybody and the couple of a clip."""
     judged = reconstruction.judged
     made = {one.name: one.people for one in reconstruction.people.methods} | (
@@ -285,9 +285,9 @@ def say_all(takes: Takes, asked: argparse.Namespace) -> None:
         for clip in (one for one in clips if one.family == family):
             seen = takes.seen(clip, has_lens=asked.lens)
             statures_m = {one.person_id: clip.stature_m for one in seen.tracks[:1]} if asked.stature else {}
-            reconstruction = reconstruct(seen, from_others, statures_m=statures_m)
-            level = None if asked.no_level else reconstruct(seen, from_others, StatedCamera(0.0), statures_m)
-            rows += rows_of(seen, reconstruction, level)
+            reconstruction = reconstruct_clip(seen, from_others, statures_m=statures_m)
+            level = None if asked.no_level else reconstruct_clip(seen, from_others, StatedCamera(0.0), statures_m)
+            rows += people_rows(seen, reconstruction, level)
             say(
                 f"{family} {clip.take}: "
                 + ", ".join(

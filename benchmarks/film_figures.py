@@ -138,7 +138,7 @@ def whole(data: Path, folder: Path) -> dict[str, dict[str, float]]:
     return errors
 
 
-def say(line: str) -> None:
+def print_now(line: str) -> None:
     """Print a line at once."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
@@ -160,18 +160,20 @@ def main() -> None:
             for hidden in (0.5, 0.0):
                 results.append((hidden, tracked(film, hidden)))
                 words = ", ".join(f"{name} {value:.3g}" for name, value in results[-1][1].items())
-                say(f"{size[0]} x {size[1]}, salsa {take}, hidden {'labelled' if hidden else 'left out'}: {words}")
+                print_now(
+                    f"{size[0]} x {size[1]}, salsa {take}, hidden {'labelled' if hidden else 'left out'}: {words}"
+                )
         for hidden in sorted({one for one, _ in results}):
             mean = {
                 name: np.mean([figures[name] for one, figures in results if one == hidden]) for name in results[0][1]
             }
-            say(f"mean, {hidden}: " + ", ".join(f"{name} {value:.3g}" for name, value in mean.items()))
+            print_now(f"mean, {hidden}: " + ", ".join(f"{name} {value:.3g}" for name, value in mean.items()))
     if "whole" in parts:
         with TemporaryDirectory() as folder:
             errors = whole(options.data, Path(folder))
         for key, perfect in sorted(errors["perfect"].items()):
             ours = errors["film"][key]
-            say(f"{key}: film {100 * ours:.1f} cm, perfect 2D {100 * perfect:.1f} cm, ratio {ours / perfect:.2f}")
+            print_now(f"{key}: film {100 * ours:.1f} cm, perfect 2D {100 * perfect:.1f} cm, ratio {ours / perfect:.2f}")
     if "crossings" in parts:
         counts = [
             crossings(options.data, take, 10 * index + view)
@@ -179,8 +181,8 @@ def main() -> None:
             for view in range(2)
         ]
         total, kept, frames = (sum(one[at] for one in counts) for at in range(3))
-        say(f"crossings: {kept} of {total} kept ({kept / max(total, 1):.2%}), {frames} frames")
-    say(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB with the rendered film")
+        print_now(f"crossings: {kept} of {total} kept ({kept / max(total, 1):.2%}), {frames} frames")
+    print_now(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB with the rendered film")
 
 
 if __name__ == "__main__":

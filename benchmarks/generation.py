@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.benchmark import BenchmarkResult, measure
+from benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.augmentation.variations import uniform_variations
 from pasdedeux.choreography.duets import make_duet
@@ -35,8 +35,8 @@ def _model() -> BenchmarkResult:
     model = PaperCvaeModel(PaperCvaeConfig(), known, network)
     (variation,) = uniform_variations([_SCALE], ("B",))
     scale = np.full(BODY22.num_joints, _SCALE)
-    fast = measure("published network", lambda: sample_motion(model, source, generator, scale=scale))
-    plain = measure("interaction mesh", lambda: Augmenter(source).solve([variation]), repeats=1)
+    fast = measure_rate("published network", lambda: sample_motion(model, source, generator, scale=scale))
+    plain = measure_rate("interaction mesh", lambda: Augmenter(source).solve([variation]), repeats=1)
     both = (1.0 / fast.per_s, 1.0 / plain.per_s), _PUBLISHED_S
     ours, theirs = (f"{one:.3g} s against {other:.3g} s" for one, other in both)
     size = f"{_DURATION_S:g} s of 2 x {BODY22.num_joints} joints at {_RATE_HZ:g} Hz"

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.benchmark import BenchmarkResult, in_turn, measure
+from benchmarks.benchmark import BenchmarkResult, in_turn, measure_rate
 from benchmarks.synthetic import random_pairs
 from pasdedeux.cameras.frames import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, NearestDraws
@@ -62,12 +62,12 @@ def _retrieval(count: int) -> BenchmarkResult:
         return plain_nearest(draws, images[at], views[at : at + 1], count=count)
 
     num_same = sum(np.array_equal(fast(at).draw, plain(at).draw) for at in range(8))
-    rate = measure("index", in_turn(fast, range(len(images))))
+    rate = measure_rate("index", in_turn(fast, range(len(images))))
     return BenchmarkResult(
         f"retrieval of {count}",
         "annotations",
         *rate,
-        *measure("numpy over all draws", in_turn(plain, range(len(images)))),
+        *measure_rate("numpy over all draws", in_turn(plain, range(len(images)))),
         f"{NUM_DRAWS:,} draws, one view, {1e3 / rate.per_s:.1f} ms each; same answers: {num_same} of 8",
     )
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from benchmarks.benchmark import BenchmarkResult, Rate, measure
+from benchmarks.benchmark import BenchmarkResult, Rate, measure_rate
 from pasdedeux.choreography.duets import make_duet
 from storage_schema import TABLES, Manifest, ShardRecord, SourceCredit, Store, artifact_key, record_latest, table_files
 from storage_schema.arrow import ColumnKind, column_kind, value_type
@@ -122,10 +122,10 @@ def _beside(name: str, other: Callable[[list[Path]], None], label: str, rows: in
     with _drawn() as store:
         windows = PairDataset("variants:bench", _WINDOW, store=store)
         stream, files = PairStream(windows, 64), table_files("variants:bench", store)
-        fast = measure("PairStream, shuffled", lambda: sum(1 for _ in stream), count=len(windows), repeats=5)
+        fast = measure_rate("PairStream, shuffled", lambda: sum(1 for _ in stream), count=len(windows), repeats=5)
         plain = Rate("no `datasets` is installed, PairStream", fast.per_s)
         if label != "datasets" or find_spec("datasets"):
-            plain = measure(label, lambda: other(files), count=rows // (2 * _WINDOW))
+            plain = measure_rate(label, lambda: other(files), count=rows // (2 * _WINDOW))
         size_mb = sum(path.stat().st_size for path in files) / 1e6
         return BenchmarkResult(
             name,

@@ -33,7 +33,7 @@ _MAX_FRAMES = 45
 """Frames of the picture, at most: more of them than a page should load first."""
 
 
-def picture_of(clips: dict[str, Clip]) -> bytes:
+def clips_picture(clips: dict[str, Clip]) -> bytes:
     """Return clips by title, side by side on one floor, contacts marked, some seconds from the middle."""
     first = next(iter(clips.values()))
     frames, rate_hz = shown_frames(len(first.positions_m), first.rate_hz)
@@ -56,7 +56,9 @@ def main() -> None:
     there = {variant.name.rpartition(", ")[2]: variant for variant in Data(arguments.store).variants(arguments.take)}
     chosen = {name: there[name] for name in arguments.variants}
     (source,) = {clip.source.name: clip.source for clip in chosen.values() if clip.source is not None}.values()
-    arguments.out.write_bytes(picture_of({"source": source, **{_title(name): clip for name, clip in chosen.items()}}))
+    arguments.out.write_bytes(
+        clips_picture({"source": source, **{_title(name): clip for name, clip in chosen.items()}})
+    )
 
 
 def _title(variant_id: str) -> str:

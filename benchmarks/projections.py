@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from benchmarks.benchmark import BenchmarkResult, Rate, measure
+from benchmarks.benchmark import BenchmarkResult, Rate, measure_rate
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
 from pasdedeux.projections.database import Database, DatabaseCamera
@@ -149,7 +149,7 @@ def _query() -> BenchmarkResult:
         "exact projection query, 50 best",
         "queries",
         *Rate("box tree", 1e3 / float(np.mean(waits))),
-        *measure("brute force numpy", lambda: search_brute_force(database, queries[:5]), count=5, repeats=2),
+        *measure_rate("brute force numpy", lambda: search_brute_force(database, queries[:5]), count=5, repeats=2),
         f"{database.num_projections:,} projections, built in {build_s:.1f} s of processor time with at most "
         f"{peak_gb:.1f} GB; one query a call: {_in_words(waits)}",
     )
@@ -186,7 +186,7 @@ def _published() -> BenchmarkResult:
         for method in (Method.PUBLISHED, Method.VITERBI, Method.FIT)
     }
     shown = [
-        f"{name} {1e3 / measure(name, frame, count=_LIVE_FRAMES, repeats=1).per_s:.2f} ms"
+        f"{name} {1e3 / measure_rate(name, frame, count=_LIVE_FRAMES, repeats=1).per_s:.2f} ms"
         for name, frame in frames.items()
     ]
     return BenchmarkResult(
@@ -257,7 +257,7 @@ def _live() -> BenchmarkResult:
         "whole live chain, a frame of a person",
         "frames",
         *Rate("identities, search, yaw, Viterbi, window fit, filter, clean-up", 2e3 / float(np.mean(waits))),
-        *measure(
+        *measure_rate(
             "whole track at once, fit, without identities and clean-up",
             lambda: reconstruct_track(searcher, track, Method.FIT),
             count=_LIVE_FRAMES,
@@ -280,7 +280,7 @@ def _reconstruct() -> BenchmarkResult:
     tracks = [Track(one, np.ones(one.shape[:2]), 24.0, lens, person_id=number) for number, one in enumerate(px)]
     forms = {"fit, scene, clean-up and bodies": Method.FIT, "nearest pose and bodies": Method.NEAREST}
     rates = [
-        measure(
+        measure_rate(
             name,
             partial(reconstruct_people, searcher, tracks, SequenceOptions([method])),
             count=2 * _LIVE_FRAMES,

@@ -24,7 +24,7 @@ _SLOW = ("full-scale", "commands")
 """These take minutes, so they run only if named."""
 
 
-def run(stage: str | None, say: Callable[[str], None]) -> list[tuple[str, BenchmarkResult]]:
+def run_benchmarks(stage: str | None, say: Callable[[str], None]) -> list[tuple[str, BenchmarkResult]]:
     """Return the results of one stage, or of all but the slow ones, each with its stage.
 
     Raises:

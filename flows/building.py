@@ -22,7 +22,7 @@ from flows.records import record_stage
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
 from tasks.graph import Graph
-from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, joined
+from tasks.shards import Pool, ShardDone, ShardError, ShardFailed, Stopped, join_failures
 from tasks.stage import EarlyPlan, Shard, StageInputs
 
 _STAGE_FIRST = 1_000_000
@@ -73,7 +73,7 @@ class _StageWork:
     def error(self) -> ShardError | InputError | None:
         """Return why it failed; None if it did not, or only because a stage that it needs failed."""
         tried = sorted((end.error for end in self.failed if not end.is_behind), key=lambda error: error.where)
-        return self.refusal or (joined(tried) if tried else None)
+        return self.refusal or (join_failures(tried) if tried else None)
 
     @property
     def is_lost(self) -> bool:
@@ -282,7 +282,7 @@ class Build:
         if len(errors) == 1:
             raise next(iter(errors.values()))
         if errors:
-            raise joined([_as_shard_error(name, error) for name, error in errors.items()])
+            raise join_failures([_as_shard_error(name, error) for name, error in errors.items()])
 
 
 def _as_shard_error(stage: str, error: ShardError | InputError) -> ShardError:

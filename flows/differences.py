@@ -164,7 +164,7 @@ class Comparison:
         return lines
 
 
-def compare(
+def compare_builds(
     one_store: Store,
     first: Mapping[ArtifactPlace, Manifest],
     other_store: Store,

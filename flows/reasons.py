@@ -95,7 +95,7 @@ def changed_leaves(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str =
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
-def shorten(text: str) -> str:
+def shorten_text(text: str) -> str:
     """Return a text, cut for display."""
     return text if len(text) <= MAX_CHARACTERS else text[: MAX_CHARACTERS - 3] + "..."
 
@@ -116,7 +116,7 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "", *
     return [
         f"{name} is {'gone' if before else 'new'}"
         if not (before and after)
-        else f"{name} {shorten(before)} -> {shorten(after)}"
+        else f"{name} {shorten_text(before)} -> {shorten_text(after)}"
         if has_values
         else f"{name} changed"
         for name, (before, after) in changed_leaves(old, new, prefix).items()

@@ -27,7 +27,9 @@ _ZOMBIE_AFTER = timedelta(seconds=4 * _HEARTBEAT_S)
 _ZOMBIES = "pasdedeux: builds whose process is gone"
 
 
-def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str) -> str:
+def put_deployment(
+    name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str
+) -> str:
     """Create or replace a deployment of the dataset flow on Prefect's server, and return its full name.
 
     Each store has its own work queue, which runs one build at a time; a build is not started while one of the same

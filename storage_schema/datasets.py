@@ -127,7 +127,7 @@ def _read_with_needs(store: Store, path: Path) -> tuple[Dataset, frozenset[Ident
     return dataset, frozenset(step.ref.identity for step in walk_stored(store, dataset.refs))
 
 
-def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> str:
+def dataset_digest(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> str:
     """Return the sha256 over the stages, keys and content digests of artifacts, and the licences and credits."""
     return hashlib.sha256(canonical_json([[asdict(credit) for credit in part] for part in (refs, sources)])).hexdigest()
 

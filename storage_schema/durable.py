@@ -175,7 +175,7 @@ def make_folder(folder: Path) -> None:
     sync_folder(folder.parent)
 
 
-def exchange(first: Path, other: Path) -> bool:
+def exchange_folders(first: Path, other: Path) -> bool:
     """Exchange two folders in one step; return false if the system cannot, or one is missing."""
     rename = _renameat2()
     if rename is None:

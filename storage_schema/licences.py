@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 from storage_schema.ancestry import find_manifest
 from storage_schema.credits import SourceCredit, merge_credits
-from storage_schema.datasets import Dataset, add_dataset, check_names, datasets_with, digest_of, next_version
+from storage_schema.datasets import Dataset, add_dataset, check_names, dataset_digest, datasets_with, next_version
 from storage_schema.errors import DatasetExists, MissingArtifact, OlderSchema, StorageError
 from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.runs import LatestRun, latest_studies, read_latest
@@ -103,7 +103,7 @@ def create_dataset(
     if not refs:
         raise StorageError(f"dataset '{name}': a dataset needs at least one artifact")
     sources = source_credits(store, *refs)
-    digest = digest_of(refs, sources)
+    digest = dataset_digest(refs, sources)
     for ref in refs:
         store.manifest(ref)
     store.prepare()

@@ -24,7 +24,7 @@ from storage_schema.bucket_layout import (
     unpack_dataset,
 )
 from storage_schema.columns import is_plain_name
-from storage_schema.datasets import DATASET_FILE, Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
+from storage_schema.datasets import DATASET_FILE, Dataset, add_dataset, dataset_digest, dataset_from_json, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
 from storage_schema.errors import CorruptArtifact, DatasetExists, SchemaError, UnknownReference
 from storage_schema.keys import file_sha256
@@ -72,7 +72,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     """
     label = _chosen(remote, label)
     dataset, attachments, is_old = _listed(remote, label, store.root / "datasets" / label)
-    if dataset.label != label or dataset.digest != digest_of(dataset.refs, dataset.sources):
+    if dataset.label != label or dataset.digest != dataset_digest(dataset.refs, dataset.sources):
         raise CorruptArtifact(f"{remote.url}/datasets/{label} is not the list that was pushed")
     known = open_dataset(store, label) if dataset.path.is_dir() else None
     if known is not None and known.digest != dataset.digest:

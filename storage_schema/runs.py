@@ -22,7 +22,7 @@ import orjson
 from storage_schema.durable import locked_file, make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
 from storage_schema.keys import json_file, plain_json
-from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older, with_fields
+from storage_schema.manifest import ArtifactRef, Manifest, build_from_fields, refuse_newer, refuse_older
 from storage_schema.staging import replace_file
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
@@ -211,9 +211,9 @@ def _latest_path(store: Store, study: str, suffix: str = "json") -> Path:
 
 
 def _shard(values: dict[str, Any]) -> ShardRecord:
-    values["inputs"] = tuple([with_fields(InputRecord, record) for record in values["inputs"]])
+    values["inputs"] = tuple([build_from_fields(InputRecord, record) for record in values["inputs"]])
     values["files"] = tuple([(name, digest) for name, digest in values["files"]])
-    return with_fields(ShardRecord, values)
+    return build_from_fields(ShardRecord, values)
 
 
 def _checked(name: str) -> str:

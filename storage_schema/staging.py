@@ -15,7 +15,7 @@ import socket
 import uuid
 from pathlib import Path
 
-from storage_schema.durable import exchange, make_folder, sync_folder, write_file
+from storage_schema.durable import exchange_folders, make_folder, sync_folder, write_file
 
 _FOREIGN_AGE_S = 7 * 24 * 3600.0
 _ASIDE = ".aside."
@@ -43,7 +43,7 @@ class StagingFolder:
         """
         if not target.is_dir():
             target.unlink(missing_ok=True)
-        elif exchange(self.path, target):
+        elif exchange_folders(self.path, target):
             return
         else:
             aside = self.path.with_name(f"{self.path.name}{_ASIDE}{'.'.join(target.parts[-3:])}")

@@ -37,7 +37,7 @@ from tasks.rows.draw_sets import (
     reference_to,
 )
 from tasks.rows.lifted_rows import EXPECTED, Row, Together, as_columns, fill_span, lift_annotation, lifted_row
-from tasks.seeds.over_time import couples_of, is_video, lift_couple
+from tasks.seeds.over_time import is_video, lift_couple, places_by_couple
 from tasks.stage import Parameters, Shard, Stage, StageInputs, StageName
 from tasks.stage.committing import commit
 from tasks.stage.facts import LiftedFacts, ProjectionFacts, SequenceFacts, merge_takes, shares_takes
@@ -128,7 +128,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     every, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    in_time = sorted(place for places in couples_of(annotated, every).values() for place in places)
+    in_time = sorted(place for places in places_by_couple(annotated, every).values() for place in places)
     spans = _spans(in_time, options.num_spans, options.between_frames) if options.between_frames else []
     places = list(every)
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
@@ -241,7 +241,7 @@ def _over_time(
         return _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[0]
 
     lifted: dict[PairPlace, tuple[np.ndarray, float]] = {}
-    for of_couple in couples_of(facts, places).values():
+    for of_couple in places_by_couple(facts, places).values():
         lifted |= lift_couple(store, shard.ref("annotations"), of_couple, wanted, database)
     is_of_draws = bool(lifted) and _searched(store, shard.refs("projections"), shard.refs("draws"), pitches_deg)[1]
     return {place: Together(*pair, is_of_draws) for place, pair in lifted.items()}

@@ -20,7 +20,7 @@ from pasdedeux.projections.sources import op14_from_working, resample_positions
 from pasdedeux.reconstruction.body import (
     REFERENCE_HIP_WIDTH_M,
     REFERENCE_REST_M,
-    body_of,
+    body_with_bones,
     pose_body,
     rotations_from_t_pose,
 )
@@ -296,7 +296,7 @@ def _of_draws(store: Store, ref: ArtifactRef, rate_hz: float) -> _PosesTogether:
 
 def bodies_of_op14(op14_m: np.ndarray) -> np.ndarray:
     """Return local rotations (row, 22, 4) for poses known only as op14: straight backs, feet square."""
-    return pose_body(body_of(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M), retarget_proportions(op14_m))[1]
+    return pose_body(body_with_bones(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M), retarget_proportions(op14_m))[1]
 
 
 def _rows(group: _PosesTogether) -> dict[str, Any]:

@@ -25,8 +25,7 @@ from pasdedeux.plain_text import counted
 from tasks.ingest.film.detector_files import fetched_detectors
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import Image
-from tasks.ingest.film.resolution import FoundShot, find_shots, shot_images
-from tasks.ingest.film.resolution import annotate as annotate_shot
+from tasks.ingest.film.resolution import FoundShot, annotate_film, find_shots, shot_images
 
 KeysOption = Annotated[Path | None, key_option(FilmOptions, "keys", metavar="FILE")]
 DetectionsOption = Annotated[Path | None, key_option(FilmOptions, "detections", metavar="FILE_OR_DIR")]
@@ -91,7 +90,7 @@ def annotate(
     failed: list[InputError] = []
     for source in shots:
         try:
-            made.append((source, annotate_shot(source.parameters, source.files)))
+            made.append((source, annotate_film(source.parameters, source.files)))
         except InputError as error:
             failed.append(type(error)(f"{source.parameters.id}: {error}"))
     for reason in failed if made else failed[:-1]:

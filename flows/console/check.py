@@ -34,11 +34,11 @@ from tasks.ingest.checking import (
     Checked,
     MotionFiles,
     check_motion,
-    clips_of,
+    clips_in_folder,
     count_people,
     files_below,
+    motion_player,
     pair_up,
-    picture_of,
     source_of,
 )
 
@@ -99,7 +99,7 @@ def check(
         checked.sort(key=lambda motion: (-motion.verdict.level.rank, motion.name))
         files = {motion.name: (motion, its) for motion, its in pairs}
         worst = [motion for motion in checked if motion.name in files and motion.figures][:_NUM_SHOWN]
-        pictures = run(picture_of, [(*files[motion.name], motion) for motion in worst])
+        pictures = run(motion_player, [(*files[motion.name], motion) for motion in worst])
     write_text(page, _page(checked, pictures))
     answer([_as_json(motion) for motion in checked], [*_lines(checked), f"page: {page}"], as_json=as_json)
     levels = {motion.level for motion in checked}
@@ -143,7 +143,7 @@ def _find(
     paths: Sequence[Path], units_m: Sequence[float], rate_hz: float | None, run: Run
 ) -> tuple[list[tuple[MotionFiles, MotionFiles | None]], list[Checked]]:
     """Return the motions of files and folders, clips of datasets with their sources, and unreadable files."""
-    clips = {path: clips_of(path) for path in paths}
+    clips = {path: clips_in_folder(path) for path in paths}
     named_clips = [clip for of_folder in clips.values() for clip in of_folder]
     if all(clips.values()):
         return named_clips, []

@@ -68,7 +68,7 @@ def deploy(
             "start --background) and set PREFECT_API_URL, for example to http://127.0.0.1:4200/api"
         )
     check_server(address, lambda text: echo(text, err=True))
-    from flows.schedules import deploy as put
+    from flows.schedules import put_deployment
 
     path = Path(study)
     parameters = {
@@ -83,7 +83,7 @@ def deploy(
     }
     interval = None if every is None else timedelta(seconds=every)
     with signed_in(address):
-        name = put(chosen.name, parameters, cron=cron, every=interval, pool=pool)
+        name = put_deployment(chosen.name, parameters, cron=cron, every=interval, pool=pool)
     when = f"at '{cron}' UTC" if cron else f"every {every:g} s" if every else "when it is asked for"
     echo(f"{name}: {when}, study {parameters['study']}, store {parameters['store']}")
     echo(f"now, if it is not running yet: prefect worker start --pool {pool}")

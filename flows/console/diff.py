@@ -12,7 +12,7 @@ from flows.console import options
 from flows.console.context import answer, app, open_store
 from flows.console.display import format_table
 from flows.differences import Changes, differences
-from flows.reasons import shorten
+from flows.reasons import shorten_text
 from flows.recorded import read_recorded
 
 _NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run, or a version of a dataset.")]
@@ -57,7 +57,7 @@ def diff(
 def _change_lines(changes: Changes, num_rows: int) -> Iterator[str]:
     for name, pairs in changes.pairs.items():
         yield f"{name}: {len(pairs) or 'nothing'} differ{'s' if len(pairs) < 2 else ''}"
-        cells = [(f"  {key}", shorten(x) or "-", shorten(y) or "-") for key, (x, y) in pairs.items()]
+        cells = [(f"  {key}", shorten_text(x) or "-", shorten_text(y) or "-") for key, (x, y) in pairs.items()]
         yield from format_table(("", "a", "b"), cells, text_columns=range(3)) if cells else ()
     rows = [(f"  {stage}", *counts.values()) for stage, counts in changes.artifacts.items()]
     yield from format_table(("artifacts", "same", "other", "only a", "only b"), rows)

@@ -26,7 +26,7 @@ from pasdedeux.formats.poses2d.detections import Detection, Footage, join_detect
 from pasdedeux.formats.poses2d.openpose import openpose_frame_number, read_people
 from pasdedeux.plain_text import counted
 from pasdedeux.reconstruction.body import BodyBones
-from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, warm_up
+from pasdedeux.reconstruction.live.chain import EVERYBODY_ELSE, LivePeople, load_kernels
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePose
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
@@ -84,7 +84,7 @@ def follow_video(
     searcher = find_database(database, store, with_pairs=False).searcher(
         math.radians(_LIVE_PITCH_DEG if pitch_deg is None else pitch_deg)
     )
-    warm_up(searcher, options)
+    load_kernels(searcher, options)
     rate_hz = video.rate_hz or DEFAULT_RATE_HZ
     people = LivePeople(
         searcher,

@@ -14,11 +14,11 @@ from flows.console.context import answer, app, graph_of, open_store
 from flows.console.display import outcome_lines
 from flows.console.run import build
 from flows.dataset_folder.reading import is_folder, read_recorded_folder, rebuild_folder
-from flows.differences import compare
+from flows.differences import compare_builds
 from flows.machine import cluster_settings
 from flows.outcomes import Run
 from flows.planning import PlanError, make_plan
-from flows.reasons import shorten
+from flows.reasons import shorten_text
 from flows.recorded import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
 from flows.study import Study, study_from_record
 from pasdedeux.errors import InputError
@@ -66,7 +66,7 @@ def rerun(
         outcome, made = build(Run(study, graph, target), cluster, is_quiet=as_json)
         named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
         new = artifacts_by_place(target, named)
-        comparison = compare(origin, old.artifacts, target, new)
+        comparison = compare_builds(origin, old.artifacts, target, new)
     changes = environment_changes(old.environment, read_environment(target, outcome.run_id))
     changes |= {
         f"version of stage {place[0]}": (str(was.version), str(new[place].version))
@@ -106,7 +106,8 @@ def _rerun_folder(
 def _change_lines(changes: Mapping[str, tuple[str, str]]) -> list[str]:
     """Return what changed since the record, a line each."""
     return [
-        f"{what}: {shorten(was) or 'not on record'} -> {shorten(now) or 'none'}" for what, (was, now) in changes.items()
+        f"{what}: {shorten_text(was) or 'not on record'} -> {shorten_text(now) or 'none'}"
+        for what, (was, now) in changes.items()
     ]
 
 

@@ -16,7 +16,7 @@ from flows.console.annotate import DetectionsOption, DetectOption, KeysOption, f
 from flows.console.context import answer, app, echo, graph_of, say
 from flows.console.display import format_table
 from flows.console.study_new import write_new_study
-from flows.reasons import shorten
+from flows.reasons import shorten_text
 from flows.study import load_study
 from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
@@ -87,7 +87,7 @@ def keys(
         )
     defaults = ["" if key.default is None else json.dumps(key.default, ensure_ascii=False) for key in known_keys]
     rows = [
-        (key.name, key.type, "needed" if key.is_needed else shorten(default), key.unit, key.meaning)
+        (key.name, key.type, "needed" if key.is_needed else shorten_text(default), key.unit, key.meaning)
         for key, default in zip(known_keys, defaults, strict=True)
     ]
     header = ("key", "type", "default", "unit", "meaning")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from flows.console.display import format_table
-from flows.templates import render
+from flows.templates import fill_template
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.file_format import AnnotationFormat
 from pasdedeux.formats.rates import one_rate
@@ -114,7 +114,7 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
     shown = [_quoted(_shown(person.path, path.parent)) for person in people]
     take = {"id": _identifier(people[0].path.stem), "files": shown, "lines": lines} if people else None
     mappings = [draft.toml(mapping) for _, mapping, draft in _drafts(people)]
-    text = render(
+    text = fill_template(
         "new_study.toml",
         name=_identifier(path.stem),
         take=take,

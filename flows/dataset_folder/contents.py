@@ -16,7 +16,7 @@ from flows.planning import PlanError
 from pasdedeux.plain_text import counted
 from storage_schema import ArtifactRef, Dataset, Manifest, Store, lineage
 from storage_schema.ancestry import held_out
-from storage_schema.datasets import digest_of
+from storage_schema.datasets import dataset_digest
 from storage_schema.parquet_files import ROW_GROUP_ROWS
 from tasks.files.curation import content_columns, recorded_choices, rejected_names, rejections, rows_without
 from tasks.rows.sides import SPLITS, Side, SplitName, take_sides
@@ -139,11 +139,11 @@ def find_contents(
     words += [f"Takes whose capture fails: {len(failed)}."] if failed else []
     words += [f"Rejected by a person, of {table}: {len(names)}." for table, names in sorted(trimmed.items())]
     words += [f"Artifacts that stay for that: {counted(len(every) - len(there), 'artifact')}."] if words else []
-    shared = replace(dataset, refs=refs, sources=sources, digest=digest_of(refs, sources))
+    shared = replace(dataset, refs=refs, sources=sources, digest=dataset_digest(refs, sources))
     return Contents(shared, tuple(manifests), tuple(groups), sides, tuple(words))
 
 
-def cut(batches: Iterable[Any], groups: Sequence[RowGroup]) -> Iterator[Any]:
+def cut_row_groups(batches: Iterable[Any], groups: Sequence[RowGroup]) -> Iterator[Any]:
     """Yield the rows of each group, in rising order, from consecutive batches of rows (`pyarrow.Table`)."""
     coming, held, first = iter(batches), None, 0
     for group in groups:

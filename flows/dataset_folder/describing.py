@@ -21,7 +21,7 @@ from flows.dataset_folder.layout import RECORD, SPLITS_FILE, FolderFile
 from flows.exports.credits import write_credits
 from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE
-from flows.templates import render
+from flows.templates import fill_template
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import WORKING_SKELETONS
 from pasdedeux.spread import evenly_spread
@@ -44,7 +44,7 @@ _HUB_LICENCES = {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "c
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
 
 
-def describe(
+def write_description(
     store: Store, contents: Contents, files: Mapping[str, FolderFile], stats: Mapping[str, Any], folder: Path
 ) -> None:
     """Write the description of the data files of a folder.
@@ -147,7 +147,7 @@ def _card(
     }
     takes = Counter(side.split for side in contents.sides.values())
     num_clips, num_frames = splits["num_clips"], splits["num_frames"]
-    return render(
+    return fill_template(
         "dataset_card.md",
         head=yaml.safe_dump(head, sort_keys=False, allow_unicode=True),
         dataset=dataset,

@@ -18,14 +18,14 @@ import pyarrow.parquet as pq
 from flows.dataset_folder.contents import find_contents
 from flows.dataset_folder.describing import ARTIFACTS_FILE, attachment_name
 from flows.dataset_folder.layout import RECORD, FolderManifest, read_manifest, read_sides
-from flows.dataset_folder.writing import fill, plan_files
+from flows.dataset_folder.writing import fill_folder, plan_files
 from flows.planning import PlanError
 from flows.recorded import Recorded
 from flows.records import ENVIRONMENT_FILE
 from storage_schema import TABLES, ArtifactRef, CorruptArtifact, Dataset, Manifest, Store, in_use, source_credits
 from storage_schema.arrow import arrow_schema
 from storage_schema.credits import merge_credits
-from storage_schema.datasets import DATASET_FILE, add_dataset, dataset_from_json, digest_of, open_dataset
+from storage_schema.datasets import DATASET_FILE, add_dataset, dataset_digest, dataset_from_json, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
 from storage_schema.errors import DatasetExists
 from storage_schema.keys import file_sha256
@@ -72,7 +72,7 @@ def read_folder(folder: Path, store: Store) -> tuple[Dataset, int]:
             known[artifact.ref], is_new = _bring(artifact, known, parts, folder, store)
             num_new += is_new
         refs = tuple(known[ref] for ref in listed.refs)
-        dataset = replace(listed, refs=refs, digest=digest_of(refs, listed.sources), path=path)
+        dataset = replace(listed, refs=refs, digest=dataset_digest(refs, listed.sources), path=path)
         if not add_dataset(store, dataset, files) and open_dataset(store, dataset.label).digest != dataset.digest:
             raise DatasetExists(f"the store {store} has another {dataset.label} already, which never changes")
     return dataset, num_new
@@ -113,12 +113,12 @@ def rebuild_folder(folder: Path, store: Store, refs: tuple[ArtifactRef, ...]) ->
     names = {source.name for source in listed.sources}
     sources = merge_credits(listed.sources, (new for new in source_credits(store, *refs) if new.name not in names))
     path = store.root / "datasets" / listed.label
-    dataset = replace(listed, refs=refs, sources=sources, digest=digest_of(refs, sources), path=path)
+    dataset = replace(listed, refs=refs, sources=sources, digest=dataset_digest(refs, sources), path=path)
     if not add_dataset(store, dataset, files) and open_dataset(store, dataset.label).digest != dataset.digest:
         raise DatasetExists(f"the store {store} has another {dataset.label} already; --store names another one")
     contents = find_contents(store, dataset, withheld=manifest.withheld, known=read_sides(folder))
     with closing(StagingFolder(store.staging_root)) as staging:
-        again = fill(
+        again = fill_folder(
             store, contents, plan_files(contents, manifest), staging.path / "again", withheld=manifest.withheld
         )
     every = {*manifest.files, *again.files}

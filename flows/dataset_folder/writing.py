@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from flows.dataset_folder.contents import Contents, RowGroup, cut, find_contents
-from flows.dataset_folder.describing import describe
+from flows.dataset_folder.contents import Contents, RowGroup, cut_row_groups, find_contents
+from flows.dataset_folder.describing import write_description
 from flows.dataset_folder.layout import MANIFEST, FolderFile, FolderManifest, PartKey, read_manifest, read_sides
 from flows.dataset_folder.statistics import contact_figures, figures_of_motions
 from flows.machine import usable_cores
@@ -33,7 +33,7 @@ from pasdedeux.augmentation import Source, UserContact, scaled_rest
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import TABLES, ArtifactRef, Dataset, Manifest, Store, canonical_json
-from storage_schema.durable import exchange, locked_file, make_folder, sync_folder, write_errors, write_file
+from storage_schema.durable import exchange_folders, locked_file, make_folder, sync_folder, write_errors, write_file
 from storage_schema.encoding import encode, with_columns
 from storage_schema.keys import file_sha256
 from storage_schema.parquet_files import TableWriter, iter_table
@@ -114,12 +114,12 @@ def write_folder(
         if there is not None and there.label == dataset.label:
             raise PlanError(f"{out} has another {there.label}, which never changes; --out names another folder")
         files = plan_files(contents, there)
-        manifest = fill(store, contents, files, part, kept=out if there else None, withheld=sorted(staying))
+        manifest = fill_folder(store, contents, files, part, kept=out if there else None, withheld=sorted(staying))
         for begun in part.glob(f"*{_PART}"):
             begun.unlink()
         if not out.exists():
             part.rename(out)
-        elif not exchange(part, out):
+        elif not exchange_folders(part, out):
             out.rename(aside)
             part.rename(out)
             aside.rename(part)
@@ -177,7 +177,7 @@ def key_of(group: RowGroup) -> PartKey:
     return group.ref.stage, group.ref.content_digest, group.rows
 
 
-def fill(
+def fill_folder(
     store: Store,
     contents: Contents,
     files: Sequence[DataFile],
@@ -238,7 +238,7 @@ def fill(
     }
     described |= _write_clips(store, contents, files, part)
     stats = _statistics(contents, files, part)
-    describe(store, contents, described, stats, part)
+    write_description(store, contents, described, stats, part)
     others = (path for path in sorted(part.rglob("*")) if path.is_file() and path != begun)
     named = {str(path.relative_to(part)): path for path in others}
     plain = {name: FolderFile(path.stat().st_size, file_sha256(path)) for name, path in named.items()}
@@ -267,7 +267,7 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
                         writer.write_group(rows)
                 continue
             batches = (batch.rows for batch in store.iter_batches(ref, file.table))
-            for rows in cut(batches, groups):
+            for rows in cut_row_groups(batches, groups):
                 writer.write_group(rows)
         writer.finish()
     except BaseException:
@@ -286,7 +286,7 @@ def _contacts_of(store: Store, ref: ArtifactRef, groups: Sequence[RowGroup]) -> 
     source, contact_rows, known = _found_in(store, take_of(store, ref), batch_of(manifest).contacts)
     count, table = len(contact_rows.frame), TABLES["variants"]
     batches = (batch.rows for batch in store.iter_batches(ref, "variants", columns=["body22_m"]))
-    for group, part in zip(groups, cut(batches, groups), strict=True):
+    for group, part in zip(groups, cut_row_groups(batches, groups), strict=True):
         positions_m = TableData(table, part)["body22_m"].reshape(source.positions_m.shape)
         held = contact_rows.held_in(replace(source, positions_m=positions_m))
         columns: dict[str, Any] = {"origin": ["variants"] * count, "variant_id": [group.clip.partition("/")[2]] * count}

@@ -10,7 +10,7 @@ import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
 from flows.records import last_runs
-from flows.templates import render
+from flows.templates import fill_template
 from pasdedeux.learning.registry import Weights, write_weights
 from pasdedeux.plain_text import markdown_text
 from storage_schema import Manifest, Store
@@ -54,7 +54,7 @@ def _read(store: Store, manifest: Manifest) -> list[Manifest]:
 
 def _card(store: Store, manifest: Manifest) -> str:
     facts = ModelFacts.of(manifest)
-    return render(
+    return fill_template(
         "model_card.md",
         facts=facts,
         manifest=manifest,

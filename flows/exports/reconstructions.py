@@ -15,8 +15,7 @@ from flows.exports.export_format import FileNames, write_text
 from flows.exports.glb_figures import glb_person
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.motion_players import seen_player
-from pasdedeux.evaluation.pictures import PLAYER, Picture
-from pasdedeux.evaluation.pictures import shown_frames as thinned_frames
+from pasdedeux.evaluation.pictures import PLAYER, Picture, shown_frames
 from pasdedeux.film.drawing import blur_faces, draw_people, moving_svg
 from pasdedeux.film.tracking import Image
 from pasdedeux.formats.glb import GlbCamera, write_glb
@@ -30,7 +29,7 @@ from pasdedeux.people.resolution import SequencePeople
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.people import ReconstructedPeople
 from pasdedeux.reconstruction.sequence import Reconstruction
-from pasdedeux.reconstruction.views.seen import SeenBy, camera_facts, seen_alone, shown_frames, upright_m
+from pasdedeux.reconstruction.views.seen import SeenBy, camera_facts, seen_alone, spanned_frames, upright_m
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Verdict
 from tasks.data import player_page
@@ -197,7 +196,7 @@ def _over_film(
     """
     tracks, first = people.methods[-1].people, film.parameters.first_number + film.parameters.first_frame
     times_s = (
-        tracks[0].track.first_time_s + (shown_frames(people) - tracks[0].track.first_frame) / tracks[0].track.rate_hz
+        tracks[0].track.first_time_s + (spanned_frames(people) - tracks[0].track.first_frame) / tracks[0].track.rate_hz
     )
     ends = (
         np.ceil((times_s[0] - seen.first_time_s) * seen.rate_hz - 1e-6),
@@ -221,7 +220,7 @@ def _over_film(
         points,
         np.ones(points.shape[:2]),
     )
-    chosen, shown_hz = thinned_frames(len(numbers), seen.rate_hz)
+    chosen, shown_hz = shown_frames(len(numbers), seen.rate_hz)
     wanted, images, annotated = set(numbers[chosen].tolist()), [], film.resolve().frames
     for number, image in shot_images(film.parameters, film.files):
         if number in wanted:

@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from pasdedeux.plain_text import markdown_value
 
 
-def render(template: str, **values: Any) -> str:
+def fill_template(template: str, **values: Any) -> str:
     """Return a template with its gaps filled."""
     environment = Environment(
         loader=PackageLoader("flows"),

@@ -14,7 +14,7 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
 from storage_schema import Manifest
-from tasks.files.user_files import digest_of
+from tasks.files.user_files import user_file_digest
 from tasks.ingest.film.detector_files import find_network
 from tasks.ingest.film.parameters import FilmParameters
 from tasks.ingest.film.readers import FilmFrame, first_shown, image_at, read_film
@@ -86,7 +86,7 @@ def _find_files(names: Sequence[tuple[str, str]], places: Sequence[Path]) -> tup
 
 @cache  # each shot of a film is an artifact of all its images
 def _digest(path: Path) -> str:
-    return digest_of(path)
+    return user_file_digest(path)
 
 
 @dataclass

@@ -28,7 +28,7 @@ from storage_schema import ArtifactRef, Store
 from storage_schema.ancestry import inputs_with
 from tasks.projections import read_database
 from tasks.rows.annotated_pairs import PairPlace, SeenPair, place_of, read_seen_pairs
-from tasks.rows.takes import rate_of, read_motion, read_objects, take_of
+from tasks.rows.takes import rate_of, read_motion, read_take_objects, take_of
 from tasks.stage.facts import MotionFacts
 from tasks.stage.judgements import verdicts_of_parts
 
@@ -60,7 +60,7 @@ def _take(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
         return scene
     data = item.read(shelf.store, "poses", ["person", "frame", "time_s", "body22_m"])
     grid = Grid.of(data["frame"], data["person"])
-    objects = read_objects(shelf.store, item.pieces[0][0])
+    objects = read_take_objects(shelf.store, item.pieces[0][0])
     ends, radii = (None, None) if objects is None else (objects.ends_m, objects.radii_m)
     people = People(BODY22, grid.fill(data["body22_m"]))
     return Scene(people, grid.frame_of_row, rate_of(data["time_s"]), ends_m=ends, radii_m=radii)

@@ -11,7 +11,7 @@ from flows.viewing.curating import Curation
 from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.shelf import GROUPS, Item, Shelf, ViewedPartition
-from pasdedeux.evaluation.shown_figures import figure_label, figure_words
+from pasdedeux.evaluation.shown_figures import figure_label, value_words
 from pasdedeux.verdict import Level
 from tasks.files.curation import UNDECIDED
 
@@ -82,7 +82,7 @@ class Listing:
     def figure_lines(self, item: Item) -> list[str]:
         """Return the figures of an item over all its frames, a line each."""
         row = self.figures(item)
-        return [figure_words(name, value) for name, value in row.items() if _is_figure(self._part, name, value)]
+        return [value_words(name, value) for name, value in row.items() if _is_figure(self._part, name, value)]
 
     def _chosen(self, index: int) -> str:
         return self._curation.of_item(self._part, self.items[index])

@@ -46,7 +46,7 @@ class LinkPane:
 def save_picture(viewer: Viewer, client: Any) -> None:
     """Send a browser its view as a PNG."""
     image = client.get_render(client.camera.image_height, client.camera.image_width, timeout=_LIMIT_S)
-    client.send_file_download(f"{_name(viewer)}.png", encode(image, ".png"), save_immediately=True)
+    client.send_file_download(f"{_name(viewer)}.png", encode_image(image, ".png"), save_immediately=True)
 
 
 def save_clip(viewer: Viewer, client: Any) -> None:
@@ -80,7 +80,7 @@ def _name(viewer: Viewer) -> str:
     return f"{viewer.part.table}-{'-'.join(viewer.item.names)}-{viewer.frame}".replace("/", "-")
 
 
-def encode(image: Array, suffix: str) -> bytes:
+def encode_image(image: Array, suffix: str) -> bytes:
     """Encode an image (height, width, 3 or 4), RGB, as a file of this kind."""
     return cv2.imencode(suffix, cv2.cvtColor(image[..., :3], cv2.COLOR_RGB2BGR))[1].tobytes()
 

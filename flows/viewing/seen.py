@@ -23,7 +23,7 @@ from storage_schema import ArtifactRef, Store
 from storage_schema.ancestry import inputs_with
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.reconstruction import read_subtracted_motion
-from tasks.rows.annotated_pairs import read_people
+from tasks.rows.annotated_pairs import read_pair_points
 from tasks.stage.facts import SequenceFacts
 
 _NUM_LOCATED = 60
@@ -147,7 +147,7 @@ def _truth(store: Store, ref: ArtifactRef, column: str) -> GroundTruth:
 def _people(store: Store, ref: ArtifactRef) -> Mapping[tuple[str, int], Mapping[int, Array]]:
     """Return the people of each frame of each sequence, by their numbers."""
     seen_people: dict[tuple[str, int], dict[int, Array]] = {}
-    for place, people in read_people(store, [ref], is_between=True, with_held_out=True).items():
+    for place, people in read_pair_points(store, [ref], is_between=True, with_held_out=True).items():
         seen_people.setdefault((place.sequence_id, place.frame), {}).update(people)
     return seen_people
 

@@ -29,7 +29,7 @@ from flows.viewing.shelf import Item, Shelf, ViewedPartition, moment_in
 from flows.viewing.shown import MOST_FIGURES, ShownPane, part_label
 from flows.viewing.side import Pointer
 from pasdedeux.arrays import Array
-from pasdedeux.evaluation.shown_figures import figure_words
+from pasdedeux.evaluation.shown_figures import value_words
 from pasdedeux.skeletons import PAIR17, WORKING_SKELETONS
 from tasks.files.curation import Choosing
 
@@ -265,7 +265,7 @@ class Viewer:
             level = "" if scene.levels is None else f", {(PASSES, WARNS, FAILS)[scene.levels[frame]]}"
             said = scene.say(frame)
             lines = [f"frame {frame} of {scene.num_frames}{time_s}{level}", *said]
-            lines += [figure_words(name, curve[frame]) for name, curve in scene.curves.items()]
+            lines += [value_words(name, curve[frame]) for name, curve in scene.curves.items()]
             is_body = scene.people.skeleton.name in WORKING_SKELETONS and not scene.is_flat
             if is_body and self.playing.marks.value:
                 lines.append("{} contacts, {} penetrations".format(*self._num_marks))

@@ -28,13 +28,13 @@ from pasdedeux.augmentation.bulk_kernels import (
     advance,
     fade_over_time,
     mean_change,
-    mix,
-    pull,
+    mix_moves,
+    pull_to_targets,
     remember,
 )
-from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
+from pasdedeux.augmentation.coarse import Thinning, interpolate_thinned, thin_out
 from pasdedeux.augmentation.exact_bones import project_to_bones
-from pasdedeux.augmentation.factor import Factor, factorise, solve
+from pasdedeux.augmentation.factor import Factor, factorise, solve_factored
 from pasdedeux.augmentation.problem import AXIS_GROUP, MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import build_targets, right_hand_side
 from pasdedeux.augmentation.weights import GIRDLE, LAPLACIAN
@@ -201,7 +201,7 @@ class _Factored:
         self._start_pairs(begun, None if start is None else start[0])
         if start is not None:
             begun.state[self._edge_rows] = start[1]
-        pull(form, begun)
+        pull_to_targets(form, begun)
         return begun
 
     def _start_pairs(self, begun: Batch, x: AnyFloat | None) -> None:
@@ -231,10 +231,10 @@ class _Factored:
         return np.asarray(self.form.first[:-1, None] + np.arange(self.num_edges))
 
     def iterate(self, now: Batch) -> None:
-        """Solve for x and move v; `pull` must follow."""
+        """Solve for x and move v; `pull_to_targets` must follow."""
         blocks = now.offsets.reshape(-1, 2 * self.num_points, *now.offsets.shape[2:])
         for group, axes in enumerate(_AXES):
-            solve(self._factors[group], blocks, axes)
+            solve_factored(self._factors[group], blocks, axes)
         advance(self.form, now)
 
     def moved(self, now: Batch, before: AnyFloat) -> Array:
@@ -296,7 +296,7 @@ class _Acceleration:
             fade_over_time(part, self._keep)
         self._gram[slot] = summed[0]
         self._gram[:, slot] = summed[0]
-        mix(self._form, self._gram, summed[1], used, _COMPARED_EVERY, _RIDGE, memory.moves, now.state)
+        mix_moves(self._form, self._gram, summed[1], used, _COMPARED_EVERY, _RIDGE, memory.moves, now.state)
 
 
 def _select(parts: Iterable[AnyFloat], variants: npt.NDArray[np.intp]) -> Iterator[AnyFloat]:
@@ -328,7 +328,7 @@ class BulkSolver:
         ended = self._solve_coarse(targets.bone_scale, most)
         estimate, iterations = _GAP_PER_COARSE_CHANGE * ended.change_m, ended.num_iterations
         if self._thinning is not None:
-            start = interpolate(self._thinning, ended.offsets), interpolate(self._thinning, ended.edges)
+            start = interpolate_thinned(self._thinning, ended.offsets), interpolate_thinned(self._thinning, ended.edges)
             now = self._fine.begin(targets, start)
             ended = _settle(self._fine, now, _FINE_END, min(most, _MOST_FINE), start[0], is_accelerated=False)
             estimate += _GAP_PER_FINE_CHANGE * ended.change_m
@@ -410,7 +410,7 @@ def _settle(
                 lanes, is_open = lanes[kept], is_open[kept]
                 if acceleration is not None:
                     acceleration.select(kept)
-        pull(level.form, now)
+        pull_to_targets(level.form, now)
     return ended
 
 

@@ -112,7 +112,7 @@ class Memory(NamedTuple):
 
 
 @compiled()
-def pull(form: Form, now: Batch) -> None:
+def pull_to_targets(form: Form, now: Batch) -> None:
     """Leave z - u = 2 z - v in `aim` and b + penalty S^T (z - u - S r) in `offsets`.
 
     Bones go to their spheres, girdle pairs towards theirs, near bones out of each other, and contacts to
@@ -301,7 +301,7 @@ def fade_over_time(values: Array, keep: float) -> None:
 
 
 @compiled()
-def mix(
+def mix_moves(
     form: Form, gram: Array, pulls: Array, used: int, stride: int, ridge: float, moves: AnyFloat, state: AnyFloat
 ) -> None:
     """Subtract from the state the part of the change that its last moves (m, row, 3, variant) explain (Anderson 1965).

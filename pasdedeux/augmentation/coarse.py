@@ -68,7 +68,7 @@ def thin_out(problem: MeshProblem, stride: int) -> Thinning:
     return Thinning(problem=thinned, neighbours=neighbours, shares=shares)
 
 
-def interpolate(thinning: Thinning, values: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def interpolate_thinned(thinning: Thinning, values: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Return values (n, rows, axis, variant) at all frames (T, rows, axis, variant), of the same precision."""
     shares = thinning.shares.astype(values.dtype)[:, :, None, None, None]
     moved = values[thinning.neighbours[:, 0]] * shares[:, 0]

@@ -170,7 +170,7 @@ def _multiply(matrix: Array, right: Array, product: Array) -> None:
 
 @compiled()
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers) -> None:
-    """Do `solve`; columns of all axes are concatenated and padded to whole tiles, for vectorised loops."""
+    """Do `solve_factored`; columns of all axes are concatenated and padded to whole tiles, for vectorised loops."""
     blocks, size, _, count = rhs.shape
     width = -(-len(axes) * count // _COLUMNS) * _COLUMNS
     work, solved = np.zeros((size, width), rhs.dtype), np.zeros((size, width), rhs.dtype)
@@ -199,7 +199,7 @@ def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers)
                     column[v] = given[v]
 
 
-def solve(factor: Factor, rhs: Array, axes: Integers) -> None:
+def solve_factored(factor: Factor, rhs: Array, axes: Integers) -> None:
     """Solve in place for some of the axes of right-hand sides (block, 88, axis, count), of the factor's precision.
 
     A column is the same to the last bit whatever the others and its place among them.

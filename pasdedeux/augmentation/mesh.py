@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.interaction.contacts import averaged
-from pasdedeux.interaction.graph import joined
+from pasdedeux.interaction.graph import simplex_neighbours
 from pasdedeux.skeletons import BODY22
 
 _SMALLEST_SQUARED_DISTANCE_M2 = 1e-4
@@ -42,7 +42,7 @@ class InteractionMesh:
         return np.asarray(np.eye(len(person)) * cross.sum(axis=-1)[:, None, :] - cross)
 
 
-def delaunay_edges(points: Array) -> Flags:
+def tetrahedron_neighbours(points: Array) -> Flags:
     """Return which of the points (n, 3) share a Delaunay tetrahedron (n, n).
 
     Points that lie in a plane have no tetrahedra, and of points that coincide all but one are dropped; such sets are
@@ -53,12 +53,12 @@ def delaunay_edges(points: Array) -> Flags:
     try:
         mesh = Delaunay(points)
         if len(mesh.coplanar) == 0:
-            return joined(mesh.simplices, len(points))
+            return simplex_neighbours(mesh.simplices, len(points))
     except QhullError:
         pass
     joggle = np.random.default_rng(len(points)).uniform(-_JOGGLE_M, _JOGGLE_M, points.shape)
     spread = points - points.mean(axis=0) + joggle
-    return joined(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points))
+    return simplex_neighbours(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points))
 
 
 def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
@@ -77,7 +77,7 @@ def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
     squared = ((points[:, :, None] - points[:, None]) ** 2).sum(axis=-1)
     weights = 1.0 / np.maximum(squared, _SMALLEST_SQUARED_DISTANCE_M2)
     for frame in range(len(points)):
-        weights[frame] *= delaunay_edges(points[frame]) | is_bone
+        weights[frame] *= tetrahedron_neighbours(points[frame]) | is_bone
     weights /= weights.sum(axis=-1, keepdims=True)
     if smoothing_s > 0:
         weights = averaged(weights, smoothing_s * source.rate_hz)

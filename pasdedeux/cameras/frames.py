@@ -15,7 +15,7 @@ from pasdedeux.arrays import Array, merge_axes
 from pasdedeux.cameras.orthographic import project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.compiled import compiled, inner_kernel
-from pasdedeux.kinematics.rotation_kernels import Vector, cross, dot, length, mix, row_of, subtract
+from pasdedeux.kinematics.rotation_kernels import Vector, cross, dot, length, row_of, subtract, weighted_sum
 from pasdedeux.kinematics.rotation_kernels import normalise as unit
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
@@ -79,28 +79,28 @@ def _frames(roots: Array, backbones: Array) -> Array:
 def frame_columns(between: Vector, backbone_a: Vector, backbone_b: Vector) -> tuple[Vector, Vector, Vector]:
     """Return i, j, k of one pair, from the vector between its roots and its backbones."""
     a, b = unit(backbone_a), unit(backbone_b)
-    both = mix(1.0, a, 1.0, b)
+    both = weighted_sum(1.0, a, 1.0, b)
     j = unit(both if length(both) >= 1e-6 else a)
     if dot(j, j) == 0.0:
         j = (0.0, 1.0, 0.0)
     i = unit(between)
     cosine = dot(i, j)
-    across = mix(1.0, i, -cosine, j)
+    across = weighted_sum(1.0, i, -cosine, j)
     sine, is_zero = length(across), length(between) < 1e-9
     if sine < MIN_SINE or is_zero:
         if sine <= 1e-9:
             # Exactly parallel: "across" is the lean of person A against j, else some axis square to j.
-            across = mix(1.0, a, -dot(a, j), j)
+            across = weighted_sum(1.0, a, -dot(a, j), j)
             if length(across) <= 1e-6:
-                across = square_to(j)
+                across = most_square_axis(j)
         across = unit(across)
         kept = math.sqrt(1.0 - MIN_SINE * MIN_SINE)
-        i = across if is_zero else mix(np.sign(cosine) * kept, j, MIN_SINE, across)
+        i = across if is_zero else weighted_sum(np.sign(cosine) * kept, j, MIN_SINE, across)
     return i, j, cross(i, j)
 
 
 @inner_kernel()
-def square_to(axis: Vector) -> Vector:
+def most_square_axis(axis: Vector) -> Vector:
     """Return the part, square to a unit vector, of the world axis that is most nearly square to it."""
     x, y, z = abs(axis[0]), abs(axis[1]), abs(axis[2])
     if x <= y and x <= z:
@@ -109,7 +109,7 @@ def square_to(axis: Vector) -> Vector:
         helper = (0.0, 1.0, 0.0)
     else:
         helper = (0.0, 0.0, 1.0)
-    return mix(1.0, helper, -dot(helper, axis), axis)
+    return weighted_sum(1.0, helper, -dot(helper, axis), axis)
 
 
 def pair_frame(pair17_m: Array) -> LocalFrame:

@@ -137,7 +137,7 @@ def frame_take(positions: Array, roots: Array, *, distance_m: float, yaw_rad: fl
     return VirtualView(camera((int(width), int(height))), distance, yaw_rad, pitch_rad)
 
 
-def annotate(rng: np.random.Generator, px: Array, *, noise_px: float = 0.0, occlusion: float = 0.0) -> Annotated:
+def annotate_pixels(rng: np.random.Generator, px: Array, *, noise_px: float = 0.0, occlusion: float = 0.0) -> Annotated:
     """Make annotations of exact pixels: normal noise on every coordinate, and joints hidden at random.
 
     Args:

@@ -49,7 +49,7 @@ def make_duet(name: str, **style: object) -> Duet:
     >>> make_duet("waltz", duration_s=1.0).num_frames
     60
     """
-    return style_of(name, **style).make(name)
+    return duet_style(name, **style).make(name)
 
 
 def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> list[dict[str, Any]]:
@@ -69,7 +69,7 @@ def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> 
     ]
 
 
-def style_of(name: str, **style: object) -> Dance:
+def duet_style(name: str, **style: object) -> Dance:
     """Return the style of a built-in duet, with defaults for what is not stated."""
     if name not in DUETS:
         near = get_close_matches(name, DUETS, n=1)

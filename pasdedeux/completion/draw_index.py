@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import pair_frame
 from pasdedeux.cameras.orthographic import view_rotmat
-from pasdedeux.completion.kernels import LANES, fill_residuals, refill_residuals
+from pasdedeux.completion.kernels import LANES, rewrite_view_distances, write_view_distances
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
@@ -99,7 +99,7 @@ class DrawIndex:
         coarse = np.empty((len(views), len(self._points), LANES), dtype=np.float32)
         centred = (near - near.mean(axis=0)).astype(np.float32)
         for view, direction in enumerate(views):
-            fill_residuals(self._points, self._tilt, direction.astype(np.float32), centred, few, coarse[view])
+            write_view_distances(self._points, self._tilt, direction.astype(np.float32), centred, few, coarse[view])
         flat = coarse.reshape(len(views), -1)[:, : self.num_draws]
         bound = flat.min(axis=0) if len(views) > 1 else flat[0]
         # The draws that are nearest by a few joints give an upper bound on the distances of the results.
@@ -167,7 +167,7 @@ class DrawIndex:
         for view, direction in enumerate(views):
             world = _towards(tilt, direction)
             errors = np.empty(len(draws))
-            refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, errors)
+            rewrite_view_distances(self._rows, world, draws, image, joints, ceiling_m2, errors)
             squared[:, view] = errors
         return squared
 

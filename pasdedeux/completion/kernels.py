@@ -15,7 +15,7 @@ LANES = 256
 
 
 @compiled(fastmath=True)
-def fill_residuals(
+def write_view_distances(
     points: Floats32, tilt: Floats32, direction: Floats32, image: Floats32, joints: Integers, out: Floats32
 ) -> None:
     """Write the squared distance of every draw, seen from one view and turned best in the plane, from an image.
@@ -73,13 +73,13 @@ def fill_residuals(
 
 
 @compiled()
-def refill_residuals(
+def rewrite_view_distances(
     points: Floats32, directions: Array, which: Integers, image: Array, joints: Integers, ceiling: float, out: Array
 ) -> None:
     """Write the same squared distances in double precision for some draws, each under its own view.
 
     Args:
-        points: Draws as in `fill_residuals`, but one after the other, (draw, joint, 3), metres.
+        points: Draws as in `write_view_distances`, but one after the other, (draw, joint, 3), metres.
         directions: World directions towards the camera in the frame of `points`, (n, 3), unit.
         which: Indices of the draws, (n,).
         image: Centred image points (m, 2), metres.

@@ -140,7 +140,7 @@ class CheckedMotion:
         if (worst := augmenter.meter.worst_contact(points_of(positions_m))) is not None:
             held = HeldContacts(worst[0], " and ".join(_bone_name(bone) for bone in worst[1]))
         lost = [Verdict(level, said) for _, level, said in complaints(held, HELD, limits_of(HELD))]
-        return variant.quality, held, joined([*lost, variant.verdict])
+        return variant.quality, held, join_verdicts([*lost, variant.verdict])
 
     def picture(self, said: str, people: Sequence[PersonCapture], original: CheckedMotion | None = None) -> Picture:
         """Return the player: some seconds around its worst jump, beside the same of its source."""
@@ -159,7 +159,7 @@ class CheckedMotion:
         return Picture(f"{self.name}{PLAYER}", said, pack_player(panels, rate_hz=shown_hz, labels=labels))
 
 
-def joined(verdicts: Sequence[Verdict]) -> Verdict:
+def join_verdicts(verdicts: Sequence[Verdict]) -> Verdict:
     """Return the worst level of several verdicts with all their reasons, the worst first."""
     ranked = sorted(verdicts, key=lambda verdict: -verdict.level.rank)
     reasons = dict.fromkeys(verdict.reason for verdict in ranked if verdict.reason)

@@ -18,7 +18,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.evaluation.styles import style_of
+from pasdedeux.evaluation.styles import method_style
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 
@@ -172,7 +172,7 @@ def curve_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str, is_l
 def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
     """Draw curves and levels; a level too close above another has a line but no name."""
     for name, (x, y) in panel.curves.items():
-        style = style_of(name)
+        style = method_style(name)
         line = {"linestyle": "--" if name in panel.baselines else "-", "color": style.colour}
         axis.plot(x, y, **line, marker=style.marker, markersize=4, label=in_words(name))
     for level in panel.levels.values():
@@ -195,7 +195,7 @@ def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, 
     figure, ((axis,),) = new_figure(6.0, 0.9 + 0.28 * len(values))
     for row, (name, value) in enumerate(values.items()):
         is_baseline = name in baselines
-        axis.barh(row, value, color=style_of(name).colour, hatch="//" if is_baseline else None, edgecolor="white")
+        axis.barh(row, value, color=method_style(name).colour, hatch="//" if is_baseline else None, edgecolor="white")
         place = {"xytext": (3, 0), "textcoords": "offset points", "fontsize": 7, "va": "center"}
         axis.annotate(f"{value:.3g}", (value, row), **place, bbox=_PAPER, zorder=4)
     axis.set_yticks(np.arange(len(values)), list(map(in_words, values)))

@@ -40,10 +40,10 @@ def figure_label(name: str) -> FigureLabel:
     return FigureLabel(f"{words} ({unit})" if unit else words, factor, form)
 
 
-def figure_words(name: str, value: Any) -> str:
+def value_words(name: str, value: Any) -> str:
     """Return a figure in words, in a unit that people read.
 
-    >>> figure_words("contact_drift_m", 0.00152), figure_words("rhat_max", 1.25), figure_words("bend_rad", np.pi)
+    >>> value_words("contact_drift_m", 0.00152), value_words("rhat_max", 1.25), value_words("bend_rad", np.pi)
     ('contact drift 0.15 cm', 'R-hat, largest 1.25', 'bend 180 degrees')
     """
     label, factor, form = figure_label(name)

@@ -19,13 +19,13 @@ class Style(NamedTuple):
     marker: str
 
 
-def style_of(method: str) -> Style:
+def method_style(method: str) -> Style:
     """Return the style of a method; a variant of it, such as `ic_repaired`, has its colour and another marker.
 
     Neighbours among the methods that have words differ in colour and marker. The style of other methods follows from
     their name.
 
-    >>> style_of("interaction_mesh"), style_of("naive_fk")
+    >>> method_style("interaction_mesh"), method_style("naive_fk")
     (Style(colour='#0072b2', marker='o'), Style(colour='#d55e00', marker='s'))
     """
     base, methods = base_name(method), known_methods()

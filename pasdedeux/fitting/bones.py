@@ -105,7 +105,9 @@ class BoneForest:
     def positions(self, state: BoneState) -> Array:
         """Return positions (frame, N, 3), metres."""
         shape = self.topology
-        return place_bones(state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots)
+        return place_along_bones(
+            state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots
+        )
 
     def retract(self, state: BoneState, tangents: Array, step: Array) -> BoneState:
         """Apply a step (frame, n): translate roots, move directions along their tangents, and normalise them."""
@@ -129,7 +131,7 @@ def directions_of(positions: Array, parents: Integers) -> Array:
 
 
 @compiled()
-def place_bones(
+def place_along_bones(
     roots_m: Array, directions: Array, lengths: Array, parents: Integers, order: Integers, roots: Integers
 ) -> Array:
     """Return positions; each point is a bone's length from its parent."""

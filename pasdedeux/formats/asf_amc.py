@@ -20,7 +20,15 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.euler import turn_joints, unitquat_from_euler
 from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import MAX_MAGNITUDE, Lines, floats_of, parse_integer, parse_number, parse_numbers, shorten
+from pasdedeux.formats.text import (
+    MAX_MAGNITUDE,
+    Lines,
+    floats_of,
+    parse_integer,
+    parse_number,
+    parse_numbers,
+    shorten,
+)
 from pasdedeux.kinematics.rotations import conjugate, multiply
 from pasdedeux.skeletons import Skeleton
 

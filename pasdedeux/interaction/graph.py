@@ -45,10 +45,12 @@ def delaunay_edges(points: Array) -> Edges:
         # Flat even after the jitter, by Qhull's own tolerance: let Qhull joggle (its QJ option is deterministic).
         simplices = Delaunay(points + _jitter(num_points, dimension), qhull_options="QJ Qbb Qc").simplices
     # Flags, because sorting pairs of points would take as long as Qhull.
-    return np.stack(np.nonzero(joined(simplices, num_points) & _is_above(num_points)), axis=1).astype(np.int32)
+    return np.stack(np.nonzero(simplex_neighbours(simplices, num_points) & _is_above(num_points)), axis=1).astype(
+        np.int32
+    )
 
 
-def joined(simplices: Edges, num_points: int) -> Flags:
+def simplex_neighbours(simplices: Edges, num_points: int) -> Flags:
     """Return which points share one of the triangles or tetrahedra (simplex, corner), (n, n)."""
     one, other = _CORNERS[simplices.shape[1] - 1]
     is_joined = np.zeros((num_points, num_points), dtype=bool)

@@ -77,7 +77,7 @@ def divide(a: Vector, size: float) -> Vector:
 
 
 @inner_kernel()
-def mix(s: float, a: Vector, t: float, b: Vector) -> Vector:
+def weighted_sum(s: float, a: Vector, t: float, b: Vector) -> Vector:
     """Return s a + t b."""
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
 

@@ -16,7 +16,7 @@ _STRIDE = 5
 """A clip begins every half second."""
 
 
-def pair_frame(motion_m: Array, frame: int) -> Array:
+def in_pair_frame(motion_m: Array, frame: int) -> Array:
     """Return motions (*batch, T, 2, 22, 3) about the middle of both pelvises in a frame, A facing B along x."""
     pelvises = motion_m[..., frame, :, BODY22.root, :]
     middle = pelvises.mean(axis=-2)
@@ -28,7 +28,7 @@ def pair_frame(motion_m: Array, frame: int) -> Array:
     return np.stack([cos * x + sin * z, y, cos * z - sin * x], axis=-1)
 
 
-def clips_of(
+def cut_clips(
     motion_m: Array, rate_hz: float, *, num_frames: int = CLIP_FRAMES, frame: int | None = None, is_held: bool = True
 ) -> Array:
     """Cut a motion (T, 2, 22, 3), metres, into clips (n, num_frames, 2, 22, 3) at 10 Hz, each in its pair's frame.
@@ -50,12 +50,12 @@ def clips_of(
     if is_held:
         slow = np.concatenate([slow, np.repeat(slow[-1:], max(num_frames - len(slow), 0), axis=0)])
     starts = np.arange(0, max(len(slow) - num_frames + 1, 0), _STRIDE)
-    return pair_frame(slow[starts[:, None] + np.arange(num_frames)], num_frames // 2 if frame is None else frame)
+    return in_pair_frame(slow[starts[:, None] + np.arange(num_frames)], num_frames // 2 if frame is None else frame)
 
 
-def exchange(clips: Array) -> Array:
+def exchange_people(clips: Array) -> Array:
     """Return clips (n, T, 2, 22, 3), metres, with A and B exchanged, in the frame of the pair."""
-    return pair_frame(clips[:, :, ::-1], clips.shape[1] // 2)
+    return in_pair_frame(clips[:, :, ::-1], clips.shape[1] // 2)
 
 
 def joint_errors(predicted: Array, true: Array) -> tuple[Array, Array]:

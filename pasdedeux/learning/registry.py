@@ -64,9 +64,9 @@ class ModelDescription(Settings):
     built_on: ModelDescription | None = None
 
 
-def describe(model: VariantModel) -> ModelDescription:
+def describe_model(model: VariantModel) -> ModelDescription:
     """Return the description that `load_model` needs besides the arrays."""
-    built_on = None if model.built_on is None else describe(model.built_on)
+    built_on = None if model.built_on is None else describe_model(model.built_on)
     return ModelDescription(model=model.name, config=dict(model.config()), built_on=built_on)
 
 
@@ -139,7 +139,9 @@ def write_weights(weights: Weights) -> bytes:
     _require_safetensors()
     from safetensors.numpy import save
 
-    header = _Header(description=describe(weights.model), joints=_joints(weights.model), takes=dict(weights.takes))
+    header = _Header(
+        description=describe_model(weights.model), joints=_joints(weights.model), takes=dict(weights.takes)
+    )
     arrays = {name: np.ascontiguousarray(values) for name, values in model_arrays(weights.model).items()}
     return bytes(save(arrays, metadata={_KEY: json.dumps(header.model_dump(mode="json"), sort_keys=True)}))
 

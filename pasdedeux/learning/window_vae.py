@@ -41,7 +41,14 @@ from pasdedeux.learning.settings import (
     WindowSettings,
     require_torch,
 )
-from pasdedeux.learning.windows import Window, blend, cut, gather_windows, sampled_frames, scaled_persons
+from pasdedeux.learning.windows import (
+    Window,
+    blend_windows,
+    cut_windows,
+    gather_windows,
+    sampled_frames,
+    scaled_persons,
+)
 from pasdedeux.skeletons import Skeleton
 
 if TYPE_CHECKING:
@@ -180,7 +187,7 @@ class WindowVae(VariantModel):
     def restore(cls, config: Config, arrays: Arrays, built_on: VariantModel | None = None) -> Self:
         """Make the model from its settings and arrays."""
         require_torch(cls.name)
-        from pasdedeux.learning.networks.layers import load_network
+        from pasdedeux.learning.networks.layers import restore_network
 
         options = cls.config_kind.model_validate(config)
         count, joints = (*np.shape(arrays.get("known_scales", ())), 0, 0)[:2]
@@ -189,7 +196,7 @@ class WindowVae(VariantModel):
         known = arrays["known_scales"].astype(np.float32)
         if not cls._are_scales(known):
             raise InputError(f"{cls.name}: there are no scales, or some that are not positive")
-        return cls(options, known, load_network(cls.name, lambda: cls.build(options, known), arrays))
+        return cls(options, known, restore_network(cls.name, lambda: cls.build(options, known), arrays))
 
     @classmethod
     def _are_scales(cls, known: Narrow) -> bool:
@@ -244,7 +251,7 @@ class WindowVae(VariantModel):
         With key frames of that one, its motion is bent through them, and the other's is decoded for it.
         """
         check_topology(self, source)
-        windows = cut(source, "", person, self.options.length)
+        windows = cut_windows(source, "", person, self.options.length)
         count, num_frames = len(windows), len(windows[0].frames)
         batch = {
             "template_m": np.stack([window.template_m for window in windows]),
@@ -252,14 +259,14 @@ class WindowVae(VariantModel):
             "scale": np.repeat(scale[None].astype(np.float32), count, axis=0),
         }
         batch |= {key: np.repeat(noise, count, axis=0) for key, noise in self._noise(1, num_frames, generator).items()}
-        moved = blend(source, windows, iter(self.network.displacement(batch)))
+        moved = blend_windows(source, windows, iter(self.network.displacement(batch)))
         if key_frames is None:
             return moved
         person_m = source.positions_m[:, person]
         bent = key_frames.bend(person_m + moved[:, person], source.rate_hz) - person_m
         seen = bent[sampled_frames(source)]
         batch["moved_b"] = np.stack([seen[window.frames] @ window.axes for window in windows]).astype(np.float32)
-        moved = blend(source, windows, iter(self.network.displacement(batch)))
+        moved = blend_windows(source, windows, iter(self.network.displacement(batch)))
         moved[:, person] = bent
         return moved
 

@@ -59,7 +59,7 @@ def scaled_persons(request: VariantRequest) -> list[int]:
     return [person for person in range(2) if np.abs(bones[person] - 1.0).max() > _SCALED] or [1]
 
 
-def cut(source: Source, take_id: str, person: int, length: int) -> list[Window]:
+def cut_windows(source: Source, take_id: str, person: int, length: int) -> list[Window]:
     """Return the windows of a take, each half over the next; a take shorter than one is one window of its own length.
 
     Args:
@@ -104,13 +104,13 @@ def gather_windows(items: Items, length: int) -> list[Window]:
     windows = []
     for (take_id, person), (source, moved, scales) in variants.items():
         change, scale = np.stack(moved), np.stack(scales).astype(np.float32)
-        for window in cut(source, take_id, person, length):
+        for window in cut_windows(source, take_id, person, length):
             motion = window.template_m + (change[:, window.frames] @ window.axes).astype(np.float32)
             windows.append(Window(take_id, person, window.frames, window.template_m, window.axes, motion, scale))
     return windows
 
 
-def blend(source: Source, windows: Sequence[Window], moved_m: Iterator[Narrow]) -> Array:
+def blend_windows(source: Source, windows: Sequence[Window], moved_m: Iterator[Narrow]) -> Array:
     """Return displacements of all frames of a take (T, 2, 22, 3), metres, in the world and its people's own order.
 
     Args:

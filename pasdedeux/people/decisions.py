@@ -103,7 +103,7 @@ def write_decisions(decisions: Iterable[Decision]) -> str:
     return "".join(f"{row}\n" for row in (",".join(COLUMNS), *(decision.in_words() for decision in decisions)))
 
 
-def couples_of(decisions: Iterable[Decision]) -> list[tuple[int, int]]:
+def stated_couples(decisions: Iterable[Decision]) -> list[tuple[int, int]]:
     """Return the couples stated in decisions about one sequence, each once, the smaller number first.
 
     Raises:

@@ -13,7 +13,7 @@ from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.errors import InputError, NobodyError
 from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.people.broken import find_breaks, join_breaks
-from pasdedeux.people.decisions import Decision, couples_of, decide, spans_of
+from pasdedeux.people.decisions import Decision, decide, spans_of, stated_couples
 from pasdedeux.people.identity import follow_people, mean_of_two
 from pasdedeux.people.pairs import NearPeople, choose_pairs
 from pasdedeux.people.repair import repair_rows
@@ -276,7 +276,7 @@ def resolve_sequence(
             rows.frame, rows.person_id, rows.keypoints_px, rows.confidence, op14, layout, rate_hz=rate_hz
         )
         rows = replace(rows, keypoints_px=keypoints_px, confidence=confidence)
-    couples = [*(settings.couples if has_numbers else ()), *couples_of(decisions)]
+    couples = [*(settings.couples if has_numbers else ()), *stated_couples(decisions)]
     pairs, partner = _partners(rows, op14, couples, has_identities=has_numbers)
     num_people = len(np.unique(rows.person_id))
     counts = (merged, ghosts, repaired, renamed)

@@ -18,7 +18,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, mix, row_of, subtract
+from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, row_of, subtract, weighted_sum
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.skeletons.layouts import LAYOUTS
@@ -128,7 +128,7 @@ def _depth(
     start_a, start_b = row_of(a, parent_a), row_of(b, parent_b)
     u, v, gap = subtract(row_of(a, child_a), start_a), subtract(row_of(b, child_b), start_b), subtract(start_a, start_b)
     # Balls around the two bones exclude pairs far apart without a division.
-    middle = mix(1.0, gap, 0.5, subtract(u, v))
+    middle = weighted_sum(1.0, gap, 0.5, subtract(u, v))
     far = reach + halves
     if dot(middle, middle) >= far * far:
         return 0.0

@@ -18,11 +18,11 @@ from pasdedeux.kinematics.rotation_kernels import (
     cross,
     dot,
     length,
-    mix,
     normalise,
     row_of,
     scale,
     subtract,
+    weighted_sum,
 )
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
@@ -92,7 +92,7 @@ def _wrap(angle: float) -> float:
 def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
     """Return the unit direction from joint `right` to joint `left`, made square to `up`."""
     across = subtract(row_of(points, left), row_of(points, right))
-    return normalise(mix(1.0, across, -dot(across, up), up))
+    return normalise(weighted_sum(1.0, across, -dot(across, up), up))
 
 
 @inner_kernel()
@@ -151,12 +151,14 @@ def _girdle(walk: _Walk, centre: int, up: Vector, left: int, right: int, index: 
         elevation = _arcsin(dot(direction, up))
         change = _change(walk, index + side, elevation, 0.0)
         if change != 0.0:
-            level = normalise(mix(1.0, direction, -dot(direction, up), up))
+            level = normalise(weighted_sum(1.0, direction, -dot(direction, up), up))
             target = elevation + change
-            _turn_to(points, joint, joint + 2, centre, direction, mix(math.cos(target), level, math.sin(target), up))
+            _turn_to(
+                points, joint, joint + 2, centre, direction, weighted_sum(math.cos(target), level, math.sin(target), up)
+            )
     one, two = _bone_of(points, centre, left), _bone_of(points, centre, right)
-    one = mix(1.0, one, -dot(one, up), up)
-    two = mix(1.0, two, -dot(two, up), up)
+    one = weighted_sum(1.0, one, -dot(one, up), up)
+    two = weighted_sum(1.0, two, -dot(two, up), up)
     spread = _angle(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
     change = _change(walk, spread_index, spread, 0.0)
     if change != 0.0:
@@ -181,8 +183,8 @@ def _swing(
     if change_sideways == 0.0 and change_flexion == 0.0:
         return
     flexion += change_flexion
-    level = mix(math.cos(flexion), up, math.sin(flexion), front)
-    after = mix(math.cos(sideways), level, math.sin(sideways), left)
+    level = weighted_sum(math.cos(flexion), up, math.sin(flexion), front)
+    after = weighted_sum(math.cos(sideways), level, math.sin(sideways), left)
     _turn_to(points, first, last, joint, direction, after)
 
 
@@ -207,7 +209,7 @@ def _arm(walk: _Walk, shoulder: int, back: Vector, across: Vector, index: int) -
         b = min(b * grown, max_b, math.sqrt(1.0 - max_m**2))
         m = max_m
         rest = side_of * math.sqrt(max(1.0 - m**2 - b**2, 0.0))
-    after = mix(1.0, mix(b, back, m, across), rest, up)
+    after = weighted_sum(1.0, weighted_sum(b, back, m, across), rest, up)
     _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
@@ -218,7 +220,7 @@ def _hinge(
     points = walk.points
     above, below = _bone_of(points, joint, joint + 1), _bone_of(points, joint + 1, joint + 2)
     along = dot(above, below)
-    across = mix(1.0, below, -along, above)
+    across = weighted_sum(1.0, below, -along, above)
     sine = length(across)
     flexion = _angle(sine, along)
     change_flexion = _change(walk, flexion_index, flexion, 0.0)
@@ -229,7 +231,7 @@ def _hinge(
     change = _change(walk, rotation_index, rotation, slack)
     if change_flexion != 0.0:
         bent = flexion + change_flexion
-        after = mix(math.cos(bent), above, math.sin(bent), normalise(across))
+        after = weighted_sum(math.cos(bent), above, math.sin(bent), normalise(across))
         _turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
     if change != 0.0:
         handed = -1.0 if dot(cross(carried_bend, carried_out), above) < 0 else 1.0
@@ -256,7 +258,7 @@ def _walk(walk: _Walk) -> None:
     front = cross(shoulders_x, up)
     _swing(walk, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST)
     up_neck = _bone_of(points, CHEST, NECK)
-    neck_x = normalise(mix(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
+    neck_x = normalise(weighted_sum(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
     neck_z = cross(neck_x, up_neck)
     _swing(walk, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK)
     for side in range(2):

@@ -102,7 +102,7 @@ class BodyBones:
         return self.ankle_height_m * _TOE_HEIGHT / _ANKLE_HEIGHT
 
 
-def body_of(lengths_m: Array, hip_width_m: float) -> BodyBones:
+def body_with_bones(lengths_m: Array, hip_width_m: float) -> BodyBones:
     """Return the body of a person with these op14 bones (14,) and this distance between the hip joints, metres."""
     of = dict(zip(OP14.joint_names, np.asarray(lengths_m, dtype=np.float64), strict=True))
     leg = 0.5 * sum(of[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle"))
@@ -230,7 +230,7 @@ def body_from_joints(body22_m: Array, unitquat: Array) -> EmbodiedMotion:
 
 def body_through(positions_m: Array) -> BodyBones:
     """Return the body with the median bone lengths of op14 positions (frame, 14, 3), metres."""
-    return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
+    return body_with_bones(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
 
 
 def embody(database: Database, track: ReconstructedTrack, positions_m: Array, *, window: int) -> EmbodiedMotion:

@@ -13,7 +13,6 @@ from pasdedeux.kinematics.rotation_kernels import (
     cross,
     dot,
     length,
-    mix,
     multiply,
     normalise,
     put_row,
@@ -25,6 +24,7 @@ from pasdedeux.kinematics.rotation_kernels import (
     swing_between,
     unitquat_from_rotvec,
     unitquat_of,
+    weighted_sum,
 )
 from pasdedeux.reconstruction.bones import REST_DIRECTIONS
 from pasdedeux.reconstruction.cleanup import bend_one_leg
@@ -73,15 +73,18 @@ def held_hips(positions: Array, lengths: Array, width: float) -> Array:
         across = normalise(subtract(first, second))
         if dot(across, across) == 0.0:
             across = (1.0, 0.0, 0.0)
-        down = subtract(mix(0.5, first, 0.5, second), neck)
+        down = subtract(weighted_sum(0.5, first, 0.5, second), neck)
         down = normalise(subtract(down, scale(dot(down, across), across)))
         ahead = cross(down, across)
         for side in range(2):
             hip, knee, ankle = _OP14_LEGS[side, 0], _OP14_LEGS[side, 1], _OP14_LEGS[side, 2]
             aside = out if side == 0 else out - width
-            place, end = mix(1.0, mix(1.0, neck, drop, down), aside, across), row_of(pose, ankle)
+            place, end = weighted_sum(1.0, weighted_sum(1.0, neck, drop, down), aside, across), row_of(pose, ankle)
             shift = subtract(place, row_of(pose, hip))
-            moved_knee, moved_end = mix(1.0, row_of(pose, knee), 1.0, shift), mix(1.0, end, 1.0, shift)
+            moved_knee, moved_end = (
+                weighted_sum(1.0, row_of(pose, knee), 1.0, shift),
+                weighted_sum(1.0, end, 1.0, shift),
+            )
             new_knee, new_ankle = bend_one_leg(place, moved_knee, moved_end, end, ahead)
             put_row(pose, hip, place)
             put_row(pose, knee, new_knee)
@@ -127,14 +130,14 @@ def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None
     turn = unitquat_of(world, _PELVIS)
     across = rotate(turn, subtract(row_of(rest, _LEGS[0, 0]), row_of(rest, _LEGS[1, 0])))
     put_unitquat(world, _PELVIS, _unit(multiply(swing_between(across, subtract(left, right)), turn)))
-    _place_pelvis(mix(0.5, left, 0.5, right), world, points, rest)
+    _place_pelvis(weighted_sum(0.5, left, 0.5, right), world, points, rest)
 
 
 @inner_kernel()
 def _place_pelvis(middle: Vector, world: Array, points: Array, rest: Array) -> None:
     """Place the pelvis so that its hips have this middle."""
     up = rotate(unitquat_of(world, _PELVIS), row_of(rest, _PELVIS))
-    put_row(points, _PELVIS, mix(1.0, middle, 1.0, up))
+    put_row(points, _PELVIS, weighted_sum(1.0, middle, 1.0, up))
 
 
 @inner_kernel()
@@ -151,14 +154,14 @@ def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) 
 def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
     parent = _PARENTS[joint]
     bone = rotate(unitquat_of(world, parent), row_of(offsets, joint))
-    put_row(points, joint, mix(1.0, row_of(points, parent), 1.0, bone))
+    put_row(points, joint, weighted_sum(1.0, row_of(points, parent), 1.0, bone))
 
 
 @inner_kernel()
 def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets: Array, rest: Array) -> None:
     """Turn pelvis, spine and collars until they reach the shoulders: Newton steps of least weighted turning."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
-    middle, hinge = mix(0.5, left, 0.5, right), normalise(subtract(left, right))
+    middle, hinge = weighted_sum(0.5, left, 0.5, right), normalise(subtract(left, right))
     turning = (_PELVIS, _SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1])
     jacobian, error = np.empty((6, 18)), np.empty(6)
     for _ in range(_MAX_ROUNDS):
@@ -233,7 +236,7 @@ def _reach(
     shift = subtract(row_of(points, start), row_of(pose, wanted[0]))
     if max(abs(shift[0]), abs(shift[1]), abs(shift[2])) > _CLOSED_M:
         aside = rotate(unitquat_of(world, above), (0.0, 0.0, 1.0))
-        hinged, ended = mix(1.0, first, 1.0, shift), mix(1.0, second, 1.0, shift)
+        hinged, ended = weighted_sum(1.0, first, 1.0, shift), weighted_sum(1.0, second, 1.0, shift)
         first, second = bend_one_leg(row_of(points, start), hinged, ended, second, aside)
     for joint, child, target in ((start, hinge, first), (hinge, end, second)):
         turn = multiply(unitquat_of(world, _PARENTS[joint]), unitquat_of(bent, joint))

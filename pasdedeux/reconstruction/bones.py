@@ -16,7 +16,6 @@ from pasdedeux.kinematics.rotation_kernels import (
     cross,
     dot,
     length,
-    mix,
     multiply,
     normalise,
     put_row,
@@ -28,6 +27,7 @@ from pasdedeux.kinematics.rotation_kernels import (
     swing_between,
     unitquat_from_axes,
     unitquat_of,
+    weighted_sum,
 )
 from pasdedeux.skeletons import OP14
 
@@ -100,10 +100,10 @@ def _bone_rotations(positions: Array) -> Array:
         left_hip, right_hip = row_of(pose, _LEFT_HIP), row_of(pose, _RIGHT_HIP)
         hips = subtract(left_hip, right_hip)
         shoulders = subtract(row_of(pose, _LEFT_SHOULDER), row_of(pose, _RIGHT_SHOULDER))
-        up = normalise(subtract(row_of(pose, _NECK), mix(0.5, left_hip, 0.5, right_hip)))
+        up = normalise(subtract(row_of(pose, _NECK), weighted_sum(0.5, left_hip, 0.5, right_hip)))
         if dot(up, up) == 0.0:
             up = (0.0, 1.0, 0.0)
-        across = mix(1.0, hips, 1.0, shoulders)
+        across = weighted_sum(1.0, hips, 1.0, shoulders)
         across = subtract(across, scale(dot(across, up), up))
         if length(across) < 1e-9:
             across = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
@@ -132,7 +132,7 @@ def _place_bones(unitquat: Array, lengths: Array) -> Array:
             turn = multiply(unitquat_of(world, parent), unitquat_of(unitquat[at], joint))
             put_unitquat(world, joint, turn)
             bone = rotate(turn, row_of(_REST, joint))
-            put_row(pose, joint, mix(1.0, row_of(pose, parent), lengths[at, joint], bone))
+            put_row(pose, joint, weighted_sum(1.0, row_of(pose, parent), lengths[at, joint], bone))
         for axis in range(3):
             pose[:, axis] -= 0.5 * (pose[_LEFT_HIP, axis] + pose[_RIGHT_HIP, axis])
     return positions

@@ -20,7 +20,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.kinematics.rotation_kernels import Vector, divide, dot, length, mix, put_row, row_of, subtract
+from pasdedeux.kinematics.rotation_kernels import Vector, divide, dot, length, put_row, row_of, subtract, weighted_sum
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import retarget_proportions
@@ -158,15 +158,15 @@ def bend_one_leg(start: Vector, middle: Vector, end: Vector, target: Vector, fal
     old_line = divide(old_line, old_reach) if old_reach > 1e-12 else down
     line = divide(line, reach) if reach > 1e-12 else down
     reach = min(max(reach, abs(thigh - shank) + _MIN_BEND_M), _STRAIGHT * (thigh + shank))
-    bend = mix(1.0, above, -dot(above, old_line), old_line)
+    bend = weighted_sum(1.0, above, -dot(above, old_line), old_line)
     if length(bend) <= _MIN_BEND_M:
         bend = fallback
-    pole = mix(1.0, bend, -dot(bend, line), line)
+    pole = weighted_sum(1.0, bend, -dot(bend, line), line)
     size = length(pole)
     pole = divide(pole, size) if size > 1e-12 else (0.0, 0.0, 1.0)
     along = (thigh**2 - shank**2 + reach**2) / (2.0 * reach)
     aside = math.sqrt(max(thigh**2 - along**2, 0.0))
-    return mix(1.0, mix(1.0, start, along, line), aside, pole), mix(1.0, start, reach, line)
+    return weighted_sum(1.0, weighted_sum(1.0, start, along, line), aside, pole), weighted_sum(1.0, start, reach, line)
 
 
 @inner_kernel()

@@ -31,7 +31,7 @@ class Solution:
     variance_of: Callable[[Array], float]
 
 
-def solve(terms: Sequence[SceneTerm], seen: SeenPeople, start: Array, *, side: float) -> Solution:
+def solve_scene(terms: Sequence[SceneTerm], seen: SeenPeople, start: Array, *, side: float) -> Solution:
     """Return the scene of least cost.
 
     Gauss-Newton steps with Levenberg's damping; robust residuals are reweighted in each step by the weights of Geman

@@ -36,7 +36,7 @@ from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.rays import camera_turns
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
-from pasdedeux.reconstruction.robust import Solution, solve
+from pasdedeux.reconstruction.robust import Solution, solve_scene
 from pasdedeux.reconstruction.terms.contact import GapTerm, TouchTerm, touching_hands
 from pasdedeux.reconstruction.terms.floor import FloorTerm
 from pasdedeux.reconstruction.terms.image import ImageTerm
@@ -134,21 +134,24 @@ def estimate_scene(
     seen, sides = known.seen, known.sides()
     # Hands and bodies cause local minima: from one lens alone, noise of a pixel would decide which one is found.
     solutions = [
-        min((solve(known.terms(), seen, start, side=side) for start in known.starts()), key=lambda tried: tried.cost)
+        min(
+            (solve_scene(known.terms(), seen, start, side=side) for start in known.starts()),
+            key=lambda tried: tried.cost,
+        )
         for side in sides
     ]
     is_other = solutions[-1].cost + _OTHER_SIDE_COST < solutions[0].cost
     side, solution = (sides[-1], solutions[-1]) if is_other else (sides[0], solutions[0])
     carried, cost, start = None, solution.cost - _CARRIED_COST, next(known.starts())
     for people in known.may_carry():
-        tried = solve(known.terms(people), seen, start, side=side)
+        tried = solve_scene(known.terms(people), seen, start, side=side)
         if tried.cost < cost:
             carried, cost, solution = people, tried.cost, tried
     scene = solution.scene
     # Terms that may be wrong all the time do not make places more certain.
     certain = [term for term in known.terms(carried) if term.is_certain]
     is_said = len(pairs) > 0 or any(touching.any() for touching in known.hands.values())
-    apart = solve(certain, seen, scene.x, side=side) if is_said else solution
+    apart = solve_scene(certain, seen, scene.x, side=side) if is_said else solution
     return SceneEstimate(
         pitch_rad=float(scene.x[Unknown.PITCH]),
         pitch_deviation_rad=float(np.sqrt(solution.variance_of(np.eye(len(scene.x))[Unknown.PITCH]))),

@@ -11,7 +11,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
     length,
-    mix,
     multiply,
     put_row,
     put_unitquat,
@@ -21,6 +20,7 @@ from pasdedeux.kinematics.rotation_kernels import (
     subtract,
     unitquat_from_rotvec,
     unitquat_of,
+    weighted_sum,
 )
 from pasdedeux.kinematics.rotations import continuous_signs, normalise, slerp
 from pasdedeux.settings import Settings
@@ -103,7 +103,7 @@ def _filter(
         if value.shape[1] == 4:
             put_unitquat(smooth, at, multiply(unitquat_from_rotvec(moved), old))
         else:
-            put_row(smooth, at, mix(1.0, row_of(value, at), 1.0, moved))
+            put_row(smooth, at, weighted_sum(1.0, row_of(value, at), 1.0, moved))
     return smooth, pace
 
 

@@ -25,7 +25,7 @@ from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
-from pasdedeux.sampling.growth_kernels import place_bones
+from pasdedeux.sampling.growth_kernels import place_near_image
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import DEFAULT_PRIOR, PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
@@ -285,7 +285,7 @@ def _lift_person(
     poses = np.empty((len(_SIGNS), PAIR17.num_joints, 3))
     images = np.ascontiguousarray(np.broadcast_to(image_m, (len(_SIGNS), *image_m.shape)))
     lengths = np.ascontiguousarray(np.broadcast_to(lengths_m, depth.shape))
-    place_bones(images, depth, lengths, _ORDER, _PARENTS, np.full_like(depth, TIGHTNESS), poses)
+    place_near_image(images, depth, lengths, _ORDER, _PARENTS, np.full_like(depth, TIGHTNESS), poses)
     cost = -prior.log_prior(limits.nearest_valid(poses).squared_distance_m2)
     for root, _, end in _LIMBS:
         cost = cost - FORWARD_PER_M * ((poses[:, end] - poses[:, root]) @ forward)

@@ -25,7 +25,7 @@ from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
-from pasdedeux.sampling.growth_kernels import LANES, fill_residuals, keep_nearest, place_bones
+from pasdedeux.sampling.growth_kernels import LANES, keep_nearest, place_near_image, write_image_distances
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import DEFAULT_PRIOR, PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
@@ -172,7 +172,7 @@ class ViewedImages:
         axes = np.ascontiguousarray(pair_frame(pair_m).axes)
         residual = np.empty(len(self._directions))
         images = (self._directions, self._images, self._squares, self._missing, self._num_missing)
-        fill_residuals(points, points @ points.T, axes, *images, residual)
+        write_image_distances(points, points @ points.T, axes, *images, residual)
         return residual
 
 
@@ -244,7 +244,7 @@ class _Frontier:
         # Unseen joints are as uncertain in the image as in depth.
         tightness = np.where(is_seen, _TIGHTNESS, 1.0).reshape(2, -1)
         image = image.reshape(2, PAIR17.num_joints, 2)
-        place_bones(image, depth.reshape(2, -1), lengths, _ORDER, _PARENTS, tightness, placed)
+        place_near_image(image, depth.reshape(2, -1), lengths, _ORDER, _PARENTS, tightness, placed)
         return placed
 
     def agree(self, num_seeds: int) -> None:

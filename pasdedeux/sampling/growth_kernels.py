@@ -19,7 +19,7 @@ _MIN_DEPTH_M = 1e-4
 
 
 @compiled()
-def place_bones(
+def place_near_image(
     image: Array, depth: Array, lengths: Array, order: Indices, parents: Indices, tightness: Array, out: Array
 ) -> None:
     """Place the joints of both people near an image and near given depths, with exact bone lengths, root outward.
@@ -71,7 +71,7 @@ def place_bones(
 
 
 @compiled()
-def fill_residuals(
+def write_image_distances(
     points: Array,
     spread: Array,
     axes: Array,

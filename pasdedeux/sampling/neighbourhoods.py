@@ -56,7 +56,7 @@ class Filling:
     num_refused: int
 
 
-def fill(
+def pairs_between(
     pairs_m: Array,
     num: int,
     rng: np.random.Generator,

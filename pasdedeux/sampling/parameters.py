@@ -20,12 +20,12 @@ from pasdedeux.kinematics import align_rigid, best_rotation, bone_directions, bo
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
     dot,
-    mix,
     put_row,
     put_unitquat,
     row_of,
     swing_between,
     unitquat_of,
+    weighted_sum,
 )
 from pasdedeux.kinematics.rotation_kernels import multiply as turned_by
 from pasdedeux.kinematics.rotation_kernels import rotate as carried_by
@@ -196,12 +196,12 @@ def _place(parameters, directions, axes, lengths, positions):  # type: ignore[no
                     put_row(placed[person], joint, (own[first], own[first + 1], own[first + 2]))
                     continue
                 one, two = row_of(axes[person, joint], 0), row_of(axes[person, joint], 1)
-                turn = unitquat_of_rotvec(mix(own[first], one, own[first + 1], two))
+                turn = unitquat_of_rotvec(weighted_sum(own[first], one, own[first + 1], two))
                 frame = turned_by(unitquat_of(frames, parent), turn)
                 put_unitquat(frames, joint, frame)
                 length = lengths[person, joint] * (1.0 + own[first + 2])
                 bone = carried_by(frame, row_of(directions[person], joint))
-                put_row(placed[person], joint, mix(1.0, row_of(placed[person], parent), length, bone))
+                put_row(placed[person], joint, weighted_sum(1.0, row_of(placed[person], parent), length, bone))
 
 
 @compiled()

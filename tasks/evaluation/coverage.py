@@ -25,7 +25,7 @@ from pasdedeux.evaluation.pictures import (
 )
 from pasdedeux.evaluation.score_tables import TextTable, format_value, pivot_table
 from pasdedeux.evaluation.scores import Score, summarise
-from pasdedeux.evaluation.styles import style_of
+from pasdedeux.evaluation.styles import method_style
 from pasdedeux.interaction.coverage import CoverageCurve, DrawPart, coverage_curve, curve_of_parts, draw_parts
 from pasdedeux.interaction.nearest import PairTable, cartesian_distances, pair_table
 from pasdedeux.interaction.pair_map import PairMap
@@ -346,7 +346,7 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
         axis.scatter(*(100 * real.T), s=5, color="#9aa3b0", label="real", zorder=3, **CLOUD)
         for method, places in sets.items():
-            colour, marker = style_of(method)
+            colour, marker = method_style(method)
             axis.scatter(*(100 * places.T), s=7, color=colour, marker=marker, label=in_words(method), **CLOUD)
         if seed is not None:
             axis.plot(*(100 * seed), "kx", markersize=7, zorder=4)

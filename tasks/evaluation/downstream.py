@@ -13,7 +13,7 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.score_tables import TextTable, pivot_table
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, clips_of, exchange, joint_errors
+from pasdedeux.learning.clips import CLIP_HZ, HISTORY, HORIZON, cut_clips, exchange_people, joint_errors
 from pasdedeux.learning.meter import GENERATED, SOLVER
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LearnedSettings
@@ -161,7 +161,7 @@ def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
 
 def _with_roles(clips: Clips) -> Clips:
     """Return the clips; those with A and B exchanged form another class."""
-    return {**clips, **{f"{kind}, exchanged": exchange(some) for kind, some in clips.items()}}
+    return {**clips, **{f"{kind}, exchanged": exchange_people(some) for kind, some in clips.items()}}
 
 
 def _predict(shard: Shard, store: Store) -> TopicResult[None]:
@@ -195,7 +195,7 @@ def _predict(shard: Shard, store: Store) -> TopicResult[None]:
 
 
 class _Repetition:
-    """The takes and clips of one repetition, cut with the arguments of `clips_of`."""
+    """The takes and clips of one repetition, cut with the arguments of `cut_clips`."""
 
     def __init__(self, shard: Shard, store: Store, **cut: Any) -> None:
         refuse_without_torch(f"the topic {shard.partition}", "evaluation.num_downstream_seeds=0")
@@ -230,7 +230,7 @@ class _Repetition:
                 count = min(map(len, sound.values()))
                 chosen = [sound[by][at * len(sound[by]) // count] for at in range(count)]
                 motions += [item.motion_m for item in self._variants[by].items(chosen)]
-            cut = [clips_of(motion, source.rate_hz, **self._cut) for motion in motions]
+            cut = [cut_clips(motion, source.rate_hz, **self._cut) for motion in motions]
             clips.setdefault(interaction_of(take), []).extend(cut)
         return {kind: joined for kind, cut in clips.items() if cut and len(joined := np.concatenate(cut))}
 

@@ -15,7 +15,7 @@ from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.evaluation.score_tables import TextTable, format_score, pivot_table
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Criterion, Items
-from pasdedeux.learning.clips import CLIP_FRAMES, clips_of, pair_frame
+from pasdedeux.learning.clips import CLIP_FRAMES, cut_clips, in_pair_frame
 from pasdedeux.learning.meter import SOLVER, ModelMeter
 from pasdedeux.plain_text import counted
 from pasdedeux.spread import some_of
@@ -78,7 +78,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
     shown = None
     for method, take_id, wanted in _wanted(store, shard, facts.model):
         source, items = variants.takes[take_id].source, list(variants.items(wanted))
-        clips[method][take_id] = [clips_of(item.motion_m, source.rate_hz) for item in items]
+        clips[method][take_id] = [cut_clips(item.motion_m, source.rate_hz) for item in items]
         contacts = ModelMeter(items[0].request).contacts
         drifts = contact_drifts(contacts, source, ((item.request.bone_scale, item.motion_m) for item in items))
         ours_mm, plain_mm = (1e3 * found.ravel() for found in drifts.found_m.values())
@@ -109,7 +109,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
         notes += said
         if classifier is not None:
             real = {
-                take_id: clips_of(take.source.positions_m, take.source.rate_hz)
+                take_id: cut_clips(take.source.positions_m, take.source.rate_hz)
                 for take_id, take in variants.takes.items()
             }
             generator = stream(shard.seed, "evaluation", "generation", facts.model, facts.split)
@@ -170,7 +170,7 @@ def distribution_scores(
         other, when = others[generator.integers(len(others))]
         return np.stack([real[take_id][at][:, 0], real[other][when][:, 1]], axis=1)
 
-    strangers = pair_frame(np.stack([stranger(*place) for place in first]), CLIP_FRAMES // 2)
+    strangers = in_pair_frame(np.stack([stranger(*place) for place in first]), CLIP_FRAMES // 2)
     reference = classifier.features(np.stack([real[take_id][at] for take_id, at in second]))
     sets = {_CHANCE: [np.stack([real[take_id][at] for take_id, at in first])], _STRANGERS: [strangers]}
     for method, of_takes in made.items():

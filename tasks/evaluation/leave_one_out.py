@@ -30,7 +30,7 @@ from pasdedeux.evaluation.pictures import (
     new_figure,
 )
 from pasdedeux.evaluation.scores import Score, summarise
-from pasdedeux.evaluation.styles import style_of
+from pasdedeux.evaluation.styles import method_style
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.interaction.pair_map import PairMap
@@ -295,7 +295,7 @@ def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_ou
         spots, count = np.unique(images, axis=0, return_counts=True)
         label = f"nearest to draws: {in_words(method)}"
         size = 12.0 + 150.0 * count / count.sum()
-        colour, marker = style_of(method)
+        colour, marker = method_style(method)
         axis.scatter(
             *(100 * plane.place(spots).T), s=size, alpha=0.6, color=colour, marker=marker, label=label, **CLOUD
         )

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.learning.clips import clips_of
+from pasdedeux.learning.clips import cut_clips
 from pasdedeux.learning.meter import GENERATED, SOLVER, generated
 from pasdedeux.learning.registry import BASELINES
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
@@ -105,7 +105,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             last = {name: draws[len(predicted.get(SOLVER, ())) % len(draws)][1] for name, draws in several.items()}
             for clips, motions in ((predicted, made), (drawn, last)):
                 for name, motion in {**motions, SOLVER: item.motion_m}.items():
-                    clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, clips_of(motion, rate_hz)))
+                    clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, cut_clips(motion, rate_hz)))
         dealt = halves(strata, stream(shard.seed, "evaluation", "halves", split))
         for of, clips in (("all", predicted), (GENERATED, drawn)):
             if len(clips) > 1:
@@ -147,7 +147,7 @@ def real_clips(store: Store, takes: Sequence[Manifest]) -> dict[str, np.ndarray]
     by_label: dict[str, list[np.ndarray]] = {}
     for take in takes:
         source = read_take(store, take.ref).source
-        by_label.setdefault(interaction_of(take), []).append(clips_of(source.positions_m, source.rate_hz))
+        by_label.setdefault(interaction_of(take), []).append(cut_clips(source.positions_m, source.rate_hz))
     return {kind: np.concatenate(clips) for kind, clips in by_label.items()}
 
 

@@ -224,7 +224,7 @@ def clip_of(name: str) -> tuple[str, tuple[int, int] | None]:
     return (name, None) if match is None else (match[1], (int(match[2]), int(match[3])))
 
 
-def rows_of(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
+def rows_of_item(data: TableData, name: str, names: np.ndarray) -> np.ndarray:
     """Return which rows (row,) belong to an item; for a clip, those in its frames.
 
     Args:
@@ -258,7 +258,7 @@ def thing_at(data: TableData, row: int, clip: tuple[int, int] | None = None) -> 
         if not there[0] <= clip[0] <= clip[1] <= there[1]:
             raise InputError(f"{name} has the frames {there[0]} to {there[1]}; there is no clip {clip[0]}-{clip[1]}")
         name = clip_name(name, *clip)
-    return name, content_of(data[POSITIONS[data.table.name]][rows_of(data, name, names)])
+    return name, content_of(data[POSITIONS[data.table.name]][rows_of_item(data, name, names)])
 
 
 def refuse_clips(table: str) -> None:
@@ -279,7 +279,7 @@ def rejected_names(rejected: Mapping[str, str], batches: Iterable[TableData]) ->
         names, positions = names_of(data), data[POSITIONS[data.table.name]]
         there = set(names.tolist())
         for name in (name for name in rejected if {name, clip_of(name)[0]} & there):
-            if (is_rejected := rows_of(data, name, names)).any():
+            if (is_rejected := rows_of_item(data, name, names)).any():
                 parts.setdefault(name, []).append(positions[is_rejected])
     return {name for name, values in parts.items() if content_of(np.concatenate(values)) == rejected[name]}
 
@@ -305,7 +305,7 @@ def rows_without(data: TableData, names: Collection[str]) -> np.ndarray:
     row_names = names_of(data)
     is_out = np.isin(row_names, list(names))
     for name in names if data.table.name in CLIPPED else ():
-        is_out |= rows_of(data, name, row_names)
+        is_out |= rows_of_item(data, name, row_names)
     return np.flatnonzero(~is_out)
 
 

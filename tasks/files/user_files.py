@@ -84,7 +84,7 @@ def read_text_file(path: Path) -> str:
         raise InputError(f"file {path} is no text in UTF-8: {error.reason} at byte {error.start}") from None
 
 
-def digest_of(path: Path, data: bytes | None = None) -> str:
+def user_file_digest(path: Path, data: bytes | None = None) -> str:
     """Return the sha256 of a file of any size; cached in the process while the file does not change.
 
     Args:

@@ -21,7 +21,7 @@ import pyarrow as pa
 from pyarrow import ArrowException, parquet
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.motion_check import CheckedMotion, joined
+from pasdedeux.evaluation.motion_check import CheckedMotion, join_verdicts
 from pasdedeux.evaluation.pictures import Picture
 from pasdedeux.formats.file_format import FileStart
 from pasdedeux.formats.registry import MOTION_FORMATS, find_format
@@ -159,7 +159,7 @@ def pair_up(
     return pairs
 
 
-def clips_of(folder: Path) -> list[tuple[MotionFiles, MotionFiles | None]]:
+def clips_in_folder(folder: Path) -> list[tuple[MotionFiles, MotionFiles | None]]:
     """Return the clips of a dataset's folder, each variant with its take if present; none for any other folder.
 
     Raises:
@@ -218,11 +218,11 @@ def check_motion(motion: MotionFiles, original: MotionFiles | None = None) -> Ch
         for take in motion.section.takes:
             said = said.removeprefix(f"take {take.id}: ")
         return Checked(motion.name, motion.files, UNREADABLE, said)
-    judged = joined(verdicts)
+    judged = join_verdicts(verdicts)
     return Checked(motion.name, motion.files, judged.level.value, judged.reason, _as_json(figures))
 
 
-def picture_of(motion: MotionFiles, original: MotionFiles | None, checked: Checked) -> Picture:
+def motion_player(motion: MotionFiles, original: MotionFiles | None, checked: Checked) -> Picture:
     """Return the players of a checked motion."""
     shown, taken, against = _read(motion, original)
     said = f"{checked.name}: {checked.level}" + (f": {checked.reason}" if checked.reason else "")
@@ -236,12 +236,12 @@ _HOW_READ = ("source_name", "format", "layout", "rate_hz", "metres_per_unit", "u
 def _read(
     motion: MotionFiles, original: MotionFiles | None
 ) -> tuple[CheckedMotion, CapturedTake, CheckedMotion | None]:
-    taken = read_motion(motion)
+    taken = read_checked_motion(motion)
     against = None if original is None else _original(original)
     return CheckedMotion(motion.name, taken.people_m, taken.rate_hz), taken, against
 
 
-def read_motion(motion: MotionFiles) -> CapturedTake:
+def read_checked_motion(motion: MotionFiles) -> CapturedTake:
     """Read a motion as the only take of its section, at the rate of its fastest file; a clip as it is.
 
     Raises:
@@ -272,7 +272,7 @@ def _positions(path: Path, clip: ClipRows) -> npt.NDArray[np.float64]:
 @lru_cache(maxsize=2)
 def _original(motion: MotionFiles) -> CheckedMotion:
     """Return a source; consecutive motions mostly share it."""
-    taken = read_motion(motion)
+    taken = read_checked_motion(motion)
     return CheckedMotion(motion.name, taken.people_m, taken.rate_hz)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from pasdedeux.errors import InputError
 from pasdedeux.formats.file_format import LOOKED_AT_BYTES
 from pasdedeux.formats.npz import is_npz
-from tasks.files.user_files import digest_of, open_file, read_file
+from tasks.files.user_files import open_file, read_file, user_file_digest
 from tasks.stage import SourceFile
 
 
@@ -23,12 +23,12 @@ class LoadedFile:
 def load_file(path: Path) -> LoadedFile:
     """Read and hash a file; raises an InputError as `read_file`."""
     data = read_file(path)
-    return LoadedFile(file=SourceFile(path=str(path), sha256=digest_of(path, data)), data=data)
+    return LoadedFile(file=SourceFile(path=str(path), sha256=user_file_digest(path, data)), data=data)
 
 
 def find_file(path: Path) -> SourceFile:
     """Hash a file without loading it into memory; raises an InputError as `open_file`."""
-    return SourceFile(path=str(path), sha256=digest_of(path))
+    return SourceFile(path=str(path), sha256=user_file_digest(path))
 
 
 def read_start(path: Path) -> bytes:

@@ -134,7 +134,7 @@ def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[PairPlace, d
     return pairs | {place: {} for frame, place in alone.items() if frame not in with_pair}
 
 
-def read_people(
+def read_pair_points(
     store: Store, refs: Iterable[ArtifactRef], *, is_between: bool = False, with_held_out: bool = False
 ) -> dict[PairPlace, People]:
     """Return the joints (17, 2), pixels, of every pair in every frame by person id.
@@ -170,8 +170,8 @@ def read_seen_pairs(
 
     `instead` replaces annotated joints: joints (2, 17, 2), pixels, by sequence and frame.
     """
-    people = read_people(store, [annotations], with_held_out=True)
-    learned = read_people(store, [annotations])
+    people = read_pair_points(store, [annotations], with_held_out=True)
+    learned = read_pair_points(store, [annotations])
     names = ["hypothesis", "direction", "weight", "metres_per_pixel"]
     table = store.read(views, "views", columns=[*PLACE_COLUMNS, *names])
     hypothesis, direction, weight, scale = (np.asarray(table[name]) for name in names)
@@ -213,7 +213,7 @@ def gather(
     Raises:
         InputError: No annotated pair has a view.
     """
-    keypoints, frames = read_people(store, annotations), read_people(store, annotations, is_between=True)
+    keypoints, frames = read_pair_points(store, annotations), read_pair_points(store, annotations, is_between=True)
     pairs, scales, directions, weights, which = [], [], [], [], []
     index: dict[PairPlace, int] = {}
     for ref in views:

@@ -18,7 +18,7 @@ from pasdedeux.people.names import person_names
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store
 from tasks.augmentation import batch_of
-from tasks.rows.takes import read_objects, take_of
+from tasks.rows.takes import read_take_objects, take_of
 from tasks.stage.facts import TakeFacts
 
 if TYPE_CHECKING:
@@ -167,5 +167,5 @@ def find_contact_rows(store: Store, ref: ArtifactRef, positions_m: npt.NDArray[A
     is_variant = "variants" in manifest.tables
     take = take_of(store, ref) if is_variant else ref
     facts = TakeFacts.of(store.manifest(take))
-    source = Source(np.asarray(positions_m), facts.rate_hz, name, objects=read_objects(store, take))
+    source = Source(np.asarray(positions_m), facts.rate_hz, name, objects=read_take_objects(store, take))
     return ContactRows.of(source, batch_of(manifest).contacts if is_variant else facts.contacts)

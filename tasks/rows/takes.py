@@ -112,7 +112,7 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
     """
     facts = TakeFacts.of(store.manifest(ref))
     poses = read_motion(store, ref, "time_s", "body22_m", "body22_world_unitquat")
-    objects = read_objects(store, ref)
+    objects = read_take_objects(store, ref)
     return TakeMotion(
         source=Source(poses["body22_m"], facts.rate_hz, f"take {facts.take_id}", objects=objects),
         rest_m=read_rest(store, ref),
@@ -121,7 +121,7 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
     )
 
 
-def read_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
+def read_take_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
     """Return the objects of a take; None where it has none."""
     if "objects" not in store.manifest(ref).tables:
         return None

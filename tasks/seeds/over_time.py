@@ -25,7 +25,7 @@ def is_video(facts: SequenceFacts) -> bool:
     return facts.purpose in _VIDEO and len(facts.why_no_video) < max(len(facts.sequence_ids), 1)
 
 
-def couples_of(facts: SequenceFacts, places: Iterable[PairPlace]) -> dict[PairPlace, list[PairPlace]]:
+def places_by_couple(facts: SequenceFacts, places: Iterable[PairPlace]) -> dict[PairPlace, list[PairPlace]]:
     """Return the places of each couple in a video among these of an artifact; a couple is named by its frame 0."""
     couples: dict[PairPlace, list[PairPlace]] = {}
     for place in places:

@@ -14,7 +14,7 @@ from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.annotated import MAX_PAIRS, as_pair17, database_of_draws
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import FARTHEST_M, Growth, grow
-from pasdedeux.sampling.neighbourhoods import NUM_PARENTS, fill
+from pasdedeux.sampling.neighbourhoods import NUM_PARENTS, pairs_between
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
@@ -24,10 +24,10 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.priors import read_limits, read_torso_basis
 from tasks.projections import ProjectionsParameters
-from tasks.rows.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, read_people
+from tasks.rows.annotated_pairs import PairPlace, PlacedPairs, annotation_columns, gather, read_pair_points
 from tasks.rows.takes import read_motion
 from tasks.seeds.files import FileSeed, credits_of, read_seed
-from tasks.seeds.over_time import couples_of, lift_couple
+from tasks.seeds.over_time import lift_couple, places_by_couple
 from tasks.seeds.parameters import ChosenSeed, FilledSeeds, FrameSeed, GrownSeeds, LiftedSeedsShard, OverTimeSeeds
 from tasks.stage import Shard
 from tasks.stage.committing import commit, followed
@@ -168,9 +168,9 @@ def _lift(shard: Shard, store: Store, options: LiftedSeedsShard) -> ArtifactRef:
 def _lift_over_time(shard: Shard, store: Store, options: OverTimeSeeds) -> ArtifactRef:
     """Lift frames of a video together with poses of other takes; trunks and heads are those of the nearest pair."""
     ref = shard.ref("annotations")
-    couples = couples_of(
+    couples = places_by_couple(
         SequenceFacts.of(store.manifest(ref)),
-        sorted(place for place, people in read_people(store, [ref]).items() if len(people) == 2),
+        sorted(place for place, people in read_pair_points(store, [ref]).items() if len(people) == 2),
     )
     every = [place for places in couples.values() for place in places]
     wanted = {every[at] for at in evenly_spread(len(every), options.num_over_time)}
@@ -255,7 +255,7 @@ def _fill(shard: Shard, store: Store, options: FilledSeeds) -> ArtifactRef:
     before = followed(shard, store)
     tables = [store.read(manifest.ref, "seeds", columns=[*_COPIED, "seed_index", "pair17_m"]) for manifest in before]
     grown = {name: [value for table in tables for value in table[name]] for name in tables[0]}
-    filling = fill(
+    filling = pairs_between(
         np.asarray(grown["pair17_m"], dtype=np.float64),
         options.num_filled,
         stream(shard.seed, "seeds", "filled"),

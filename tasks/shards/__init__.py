@@ -1,7 +1,7 @@
 """Where shards meet workers: the only part of the tasks that talks to a Dask client."""
 
 from tasks.shards.cluster import ClusterSettings, connect, worker_environment
-from tasks.shards.errors import ClusterError, ShardError, Stopped, in_one_line, joined
+from tasks.shards.errors import ClusterError, ShardError, Stopped, in_one_line, join_failures
 from tasks.shards.running import (
     Call,
     ClusterPool,
@@ -29,7 +29,7 @@ __all__ = [
     "WhereComputed",
     "connect",
     "in_one_line",
-    "joined",
+    "join_failures",
     "run",
     "worker_environment",
 ]

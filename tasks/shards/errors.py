@@ -41,7 +41,7 @@ class ShardError(Exception):
         return "; ".join(sentences + ([f"{left} more failed"] if left > 0 else []))
 
 
-def joined(failures: Sequence[ShardError]) -> ShardError:
+def join_failures(failures: Sequence[ShardError]) -> ShardError:
     """Return one error that names all failed shards; there is at least one."""
     every = [error for failure in failures for error in (failure, *failure.others)]
     first = every[0]

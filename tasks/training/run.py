@@ -10,7 +10,14 @@ import numpy as np
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import Items, compare
 from pasdedeux.learning.model import Arrays, LogEntry, Trained, Training, TrainingItem, VariantModel
-from pasdedeux.learning.registry import BASELINES, ModelDescription, describe, load_model, model_arrays, model_class
+from pasdedeux.learning.registry import (
+    BASELINES,
+    ModelDescription,
+    describe_model,
+    load_model,
+    model_arrays,
+    model_class,
+)
 from pasdedeux.learning.settings import has_torch
 from pasdedeux.learning.splits import VariantKey
 from pasdedeux.verdict import Level, Verdict
@@ -86,7 +93,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             split=options.split,
             model=options.name,
             class_name=options.model,
-            **({"description": describe(trained.model).model_dump(mode="json")} if is_last else {}),
+            **({"description": describe_model(trained.model).model_dump(mode="json")} if is_last else {}),
             skeleton=options.skeleton,
             device=trained.device,
             segment=options.segment,

@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, annotate, look_at_camera, sample_views
+from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, annotate_pixels, look_at_camera, sample_views
 from pasdedeux.people.faults import RepairedCrowd
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.projections.retarget import mid_hip
@@ -80,7 +80,7 @@ def film(
         image_size_px=(lines * 16 // 9, lines),
     )
     frames, people = couple.shape[:2]
-    seen = annotate(rng, camera.project(couple).px, noise_px=noise_px)
+    seen = annotate_pixels(rng, camera.project(couple).px, noise_px=noise_px)
     order = np.argsort(rng.random((frames, people)), axis=1)
     at = np.arange(frames)[:, None]
     return Detections(

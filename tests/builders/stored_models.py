@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pasdedeux.learning.model import VariantModel
-from pasdedeux.learning.registry import describe, model_arrays
+from pasdedeux.learning.registry import describe_model, model_arrays
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, Store
 from tasks.stage.judgements import VERDICT_FACT
@@ -46,7 +46,7 @@ def put_model(
         facts={
             "model": model.name,
             "class": model.name,
-            "description": describe(model).model_dump(mode="json"),
+            "description": describe_model(model).model_dump(mode="json"),
             "split": split,
             "takes": [take.facts["take_id"] for take in takes],
             "shares_takes": True,

@@ -227,8 +227,8 @@ def test_the_moving_picture_is_small_whole_and_always_the_same(store: Store) -> 
     variant = Data(store).variants("toy")[0]
     assert variant.source is not None
     clips = {"source": variant.source, "person A at 0.8 of the size": variant}
-    drawn = moving_picture.picture_of(clips)
-    assert drawn == moving_picture.picture_of(clips)
+    drawn = moving_picture.clips_picture(clips)
+    assert drawn == moving_picture.clips_picture(clips)
     image = Image.open(io.BytesIO(drawn))
     assert (image.format, image.width, image.n_frames) == ("WEBP", 720, 30)  # type: ignore[attr-defined]
     pixels = np.asarray(image.convert("RGB")).astype(int)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.choreography.duets import style_of
+from pasdedeux.choreography.duets import duet_style
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from storage_schema import Store
@@ -89,7 +89,7 @@ def test_an_unknown_duet_is_named() -> None:
 )
 def test_a_style_that_a_duet_does_not_have_is_refused(told: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=re.escape(sentence)):
-        style_of("waltz", **told)
+        duet_style("waltz", **told)
 
 
 def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:

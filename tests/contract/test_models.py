@@ -11,7 +11,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.meter import model_errors
 from pasdedeux.learning.model import Arrays, Training, TrainingItem, VariantModel, VariantRequest
-from pasdedeux.learning.registry import BASELINES, MODELS, describe, load_model, model_arrays
+from pasdedeux.learning.registry import BASELINES, MODELS, describe_model, load_model, model_arrays
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
@@ -97,7 +97,7 @@ def test_training_again_gives_the_same_arrays_and_the_arrays_the_same_model(
         name: values.tobytes() for name, values in model_arrays(again).items()
     }
     assert all(values.dtype in (np.float32, np.float64) for values in arrays.values())
-    loaded = load_model(describe(model), arrays)
+    loaded = load_model(describe_model(model), arrays)
     for request in requests():
         np.testing.assert_array_equal(model.predict(request), loaded.predict(request))
 

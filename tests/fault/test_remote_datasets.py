@@ -26,7 +26,7 @@ from storage_schema import (
     verify,
 )
 from storage_schema.bucket import RemoteError, RemoteStore
-from storage_schema.datasets import digest_of, open_dataset
+from storage_schema.datasets import dataset_digest, open_dataset
 from storage_schema.errors import BadName, DatasetExists
 from storage_schema.remote import pull_dataset, push_dataset
 from tests.builders.s3_server import SECRET, S3Server, s3_server
@@ -201,7 +201,7 @@ def test_files_that_could_lead_elsewhere_are_not_pulled(server: S3Server, tmp_pa
     listed = remote.read("datasets/toys@1")
     for old, new in (
         (made.ref.content_digest, ref.content_digest),
-        (dataset.digest, digest_of([ref], dataset.sources)),
+        (dataset.digest, dataset_digest([ref], dataset.sources)),
     ):
         listed = listed.replace(old.encode(), new.encode())
     remote.write("datasets/toys@1", listed)

@@ -468,7 +468,7 @@ FAULTS = (
           "(dataset := next(datasets_with(self, present.ref), None)) is not None:", "(dataset := None) is not None:",
           "unit/flows/test_flows_planning.py::test_a_forced_stage_leaves_what_a_dataset_needs_and_says_what_to_do"),
     Fault("the old artifact goes before the new one is there", "storage_schema/staging.py",
-          "elif exchange(self.path, target):\n            return",
+          "elif exchange_folders(self.path, target):\n            return",
           "elif shutil.rmtree(target) is None:\n            pass",
           "fault/test_storage_crash.py::test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes"),
     Fault("the old manifest of a bucket goes before the new one is there", "storage_schema/bucket_store.py",

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from llvmlite.binding import get_host_cpu_features
 
-from pasdedeux.augmentation.factor import Factor, solve
+from pasdedeux.augmentation.factor import Factor, solve_factored
 from pasdedeux.cameras.torso import lift_torsos
 from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.kinematics import align_rigid
@@ -42,7 +42,7 @@ def _solved(rhs: Array) -> Array:
     parts = [rng.normal(size=(3, *shape)).astype(np.float32) for shape in ((88, 88), (44,), (88,))]
     solved = np.ascontiguousarray(np.moveaxis(rhs, 0, -1), dtype=np.float32)
     for axes in ([0, 2], [1]):
-        solve(Factor(*parts), solved, np.array(axes))
+        solve_factored(Factor(*parts), solved, np.array(axes))
     return np.moveaxis(solved, -1, 0)
 
 

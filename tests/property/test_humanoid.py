@@ -19,8 +19,8 @@ from pasdedeux.reconstruction.body import (
     SHARED,
     Bends,
     bends_of,
-    body_of,
     body_through,
+    body_with_bones,
     embody,
     hold_hips,
     pose_body,
@@ -102,7 +102,7 @@ def test_held_hips_keep_every_bone_and_move_neither_hands_nor_feet() -> None:
 def test_spine_and_head_and_feet_are_those_of_the_match() -> None:
     """A pose that is looked up and found whole comes back whole."""
     rng = np.random.default_rng(2)
-    body = body_of(REFERENCE_LENGTHS_M, 0.189)
+    body = body_with_bones(REFERENCE_LENGTHS_M, 0.189)
     upright = hold_hips(reconstruction(walk(40, turn_rad=0.0))).positions_m
     pelvis, unitquat = pose_body(body, upright, bends(rng, 40, 0.06))
     truth = placed(body, pelvis, unitquat)

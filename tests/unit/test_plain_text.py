@@ -18,7 +18,7 @@ from flows.console.context import answer, echo
 from flows.console.display import format_table
 from flows.exports import export_reference
 from flows.exports.credits import write_credits
-from flows.templates import render as render_here
+from flows.templates import fill_template
 from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.summary import Credit, Summary
 from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, get_keypoint_layout
@@ -131,6 +131,6 @@ def test_cards_and_pages_show_what_others_wrote_as_text(text: str) -> None:
     facts = {"model": text, "split": text, "class_name": text, "skeleton": text, "takes": [text], "shares_takes": False}
     manifest = {"ref": {"stage": "s", "key": "k"}, "seed": 1, "code_version": text, "version": 1, "inputs": []}
     values = {"facts": facts, "manifest": manifest, "counts": {text: 1}, "settings": "{}", "metrics": ["| a | b | c |"]}
-    page = render_here("model_card.md", verdict=verdict, **values)
+    page = fill_template("model_card.md", verdict=verdict, **values)
     assert not re.search(r"<script|(?<!\\)\[(x|click)(?<!\\)\]|\x1b", page)
     assert "\n| a | b | c |\n" in page

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pasdedeux.errors import InputError
-from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, load_network
+from pasdedeux.film.detectors.detector import Detector, DetectorKind, Network, load_onnx
 from pasdedeux.film.detectors.movenet import MOVENET
 from pasdedeux.film.detectors.rtmo import RTMO
 from pasdedeux.film.detectors.rtmpose import RTMPOSE
@@ -27,7 +27,7 @@ def load_detector(files: Sequence[bytes]) -> Detector:
     boxes: Detector | None = None
     chosen: list[tuple[DetectorKind, Network]] = []
     for data in files:
-        network = load_network(data)
+        network = load_onnx(data)
         kind = next((detector for detector in DETECTORS if detector.outputs <= set(network.outputs)), None)
         if kind is None:
             known = "; ".join(f"{detector.name} ({', '.join(sorted(detector.outputs))})" for detector in DETECTORS)

@@ -79,7 +79,7 @@ def _unpacked(data: bytes) -> bytes:
         raise InputError(f"this ZIP archive of a network is damaged: {str(error)[:120]}") from None
 
 
-def load_network(data: bytes) -> Network:
+def load_onnx(data: bytes) -> Network:
     """Load an ONNX file, or the only one in a ZIP archive, to run on one thread, because there are many workers.
 
     Raises:

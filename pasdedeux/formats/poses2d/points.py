@@ -80,7 +80,7 @@ _LISTS = re.compile(
 """Beginning of JSON that has only lists of numbers: lists of frames, or of objects of people with named joints."""
 
 
-def read_points(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
+def read_landmarks(data: bytes | str, sequence_id: str, layout: str | KeypointLayout = "auto") -> AnnotatedFrames:
     """Read landmarks in pixels or relative to the image; missing points and points at (0, 0) are not detected.
 
     A frame without a number is numbered by its position.  Unnamed points may be of another detector.
@@ -132,7 +132,7 @@ POINTS = AnnotationFormat(
     name="points",
     suffixes=(".json", ".csv"),
     recognises=_is_points,
-    read_file=read_points,
+    read_file=read_landmarks,
 )
 """Points by frame; JSON may state rate and image size, which relative coordinates need."""
 

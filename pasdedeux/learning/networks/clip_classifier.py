@@ -20,7 +20,7 @@ from torch.nn.functional import layer_norm, pad
 
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
-from pasdedeux.learning.clips import CLIP_FRAMES, CLIP_HZ, exchange
+from pasdedeux.learning.clips import CLIP_FRAMES, CLIP_HZ, exchange_people
 from pasdedeux.learning.networks.layers import Batch
 from pasdedeux.learning.networks.training import adam, fit
 from pasdedeux.learning.settings import ClassifierSettings
@@ -137,7 +137,7 @@ def train_classifier(
         chosen = np.stack([clips[labels[one]][generator.integers(len(clips[labels[one]]))] for one in which])
         if not tells_roles:
             swapped = generator.random(len(chosen)) < 0.5
-            chosen[swapped] = exchange(chosen[swapped])
+            chosen[swapped] = exchange_people(chosen[swapped])
         known = np.eye(len(labels), dtype=np.float32)[which]
         return {"clips": _channels(chosen), "is_class": known}, f"clips of {', '.join(labels)}"
 

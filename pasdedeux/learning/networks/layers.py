@@ -50,7 +50,7 @@ class WindowNetwork(nn.Module):
             return np.asarray(self({name: torch.tensor(a) for name, a in batch.items()}, is_posterior=is_posterior))
 
 
-def load_network(name: str, build: Callable[[], WindowNetwork], arrays: Arrays) -> WindowNetwork:
+def restore_network(name: str, build: Callable[[], WindowNetwork], arrays: Arrays) -> WindowNetwork:
     """Return a network with the parameters that a model's arrays hold.
 
     Raises:

@@ -105,7 +105,7 @@ class LivePeople:
         return [pose for person in sorted(self._people) for pose in self._people[person].finish()]
 
 
-def warm_up(searcher: Searcher, options: LiveOptions | None = None) -> None:
+def load_kernels(searcher: Searcher, options: LiveOptions | None = None) -> None:
     """Load compiled kernels before the first image: pass a pose of the database through a separate chain."""
     options = options or LiveOptions()
     options = options.model_copy(update={"lag": min(options.lag, 6)})

@@ -12,7 +12,7 @@ import numpy as np
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.floor import StandingSettings
-from pasdedeux.kinematics.rotation_kernels import divide, dot, mix, put_row, row_of, scale, subtract
+from pasdedeux.kinematics.rotation_kernels import divide, dot, put_row, row_of, scale, subtract, weighted_sum
 from pasdedeux.reconstruction.cleanup import BLEND_S, MAX_BEND_M, bend_one_leg, facing_of
 from pasdedeux.skeletons import OP14
 
@@ -135,12 +135,12 @@ def _clean_pose(
             drift = subtract(subtract(row_of(anchor, foot), ankle), path)
             stays = dot(drift, drift) < _MAX_DRIFT_M**2
         if stays and not is_planted[foot]:
-            put_row(anchor, foot, mix(1.0, mix(1.0, ankle, 1.0, path), 1.0, row_of(offset, foot)))
+            put_row(anchor, foot, weighted_sum(1.0, weighted_sum(1.0, ankle, 1.0, path), 1.0, row_of(offset, foot)))
             anchor[foot, _UP] = max(anchor[foot, _UP], floor)
         is_planted[foot] = stays
         put_row(raw, foot, ankle)
         if stays:
-            wanted = mix(1.0, wanted, 1.0, subtract(row_of(anchor, foot), ankle))
+            wanted = weighted_sum(1.0, wanted, 1.0, subtract(row_of(anchor, foot), ankle))
         count += stays
     for axis in range(3):
         if count > 0:
@@ -160,7 +160,7 @@ def _clean_pose(
         else:
             offset[foot] *= np.exp(-passed / BLEND_S)
         end = row_of(cleaned, ankle)
-        target = mix(1.0, end, 1.0, row_of(offset, foot))
+        target = weighted_sum(1.0, end, 1.0, row_of(offset, foot))
         target = (target[0], max(target[1], floor), target[2])
         new_knee, new_ankle = bend_one_leg(row_of(cleaned, hip), row_of(cleaned, knee), end, target, facing)
         put_row(cleaned, knee, new_knee)

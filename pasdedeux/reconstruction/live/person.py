@@ -23,7 +23,7 @@ from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
-from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, BodyBones, bends_of, body_of, pose_body
+from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, BodyBones, bends_of, body_with_bones, pose_body
 from pasdedeux.reconstruction.body_kernels import held_hips
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveFloor
@@ -208,7 +208,7 @@ class _Chain:
         self._waiting: deque[LiveFrame] = deque()
         self._fit = WindowFit(rate_hz, min_noise_m=self._options.min_noise_m)
         self._lengths_m, self._hip_width_m, self._size = bones.lengths_m, bones.hip_width_m, bones.size
-        self._body = body_of(self._lengths_m, self._hip_width_m)
+        self._body = body_with_bones(self._lengths_m, self._hip_width_m)
         self._proportions = bones.proportions
         self._is_learning = is_learning
         self._spread: list[tuple[Array, Array, Array]] = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.arrays import Array, Flags
 from pasdedeux.compiled import compiled, inner_kernel
-from pasdedeux.fitting.bones import directions_of, place_bones, tangents_of, topology_of, turn_bones
+from pasdedeux.fitting.bones import directions_of, place_along_bones, tangents_of, topology_of, turn_bones
 from pasdedeux.fitting.levenberg import FIRST_DAMPING, LARGEST_DAMPING, SMALLEST_CURVATURE, SMALLEST_DAMPING
 from pasdedeux.fitting.observed_pose import DEPTH_HOLD, HALF_WEIGHT
 from pasdedeux.skeletons import OP14
@@ -80,7 +80,7 @@ def fit_window(
     for t in range(frames):
         for axis in range(3):
             roots[t, 0, axis] = guess[t, _ROOT, axis]
-    poses = place_bones(roots, directions, lengths, _PARENTS, _ORDER, _ROOTS)
+    poses = place_along_bones(roots, directions, lengths, _PARENTS, _ORDER, _ROOTS)
     energy, pull = _pull_of(held, poses, targets, over, bones, firmness, smoothness)
     damping = FIRST_DAMPING
     for _ in range(max_iterations):
@@ -102,7 +102,7 @@ def fit_window(
             for t in range(frames):
                 for axis in range(3):
                     moved_roots[t, 0, axis] += step[t, _STARTS[_ROOT] + axis]
-            moved = place_bones(moved_roots, moved_directions, lengths, _PARENTS, _ORDER, _ROOTS)
+            moved = place_along_bones(moved_roots, moved_directions, lengths, _PARENTS, _ORDER, _ROOTS)
             moved_energy, moved_pull = _pull_of(held, moved, targets, over, bones, firmness, smoothness)
         if moved_energy <= energy:
             is_converged = energy - moved_energy <= tolerance * energy

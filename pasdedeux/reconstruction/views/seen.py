@@ -16,7 +16,7 @@ from pasdedeux.skeletons import OP14
 
 @dataclass(frozen=True)
 class SeenBy:
-    """A camera and its keypoints of the people at the frames of `shown_frames`.
+    """A camera and its keypoints of the people at the frames of `spanned_frames`.
 
     Args:
         name: Its name.
@@ -55,15 +55,15 @@ class SeenBy:
         )
 
 
-def shown_frames(people: ReconstructedPeople) -> Integers:
+def spanned_frames(people: ReconstructedPeople) -> Integers:
     """Return the frames from the first to the last of anybody (frame,)."""
     tracks = [person.track for person in people.methods[-1].people]
     return np.arange(min(track.first_frame for track in tracks), max(int(track.frames[-1]) for track in tracks) + 1)
 
 
 def upright_m(people: ReconstructedPeople) -> Array:
-    """Return the joints at `shown_frames` (frame, person, 14, 3), upright, soles at y = 0; NaN: not there."""
-    made, frames = people.methods[-1], shown_frames(people)
+    """Return the joints at `spanned_frames` (frame, person, 14, 3), upright, soles at y = 0; NaN: not there."""
+    made, frames = people.methods[-1], spanned_frames(people)
     soles = np.array([0.0, soles_m(made.bodies), 0.0])
     placed_m = np.full((len(frames), len(made.people), OP14.num_joints, 3), np.nan)
     for number, person in enumerate(made.people):
@@ -74,7 +74,7 @@ def upright_m(people: ReconstructedPeople) -> Array:
 
 def seen_alone(people: ReconstructedPeople, name: str = "1") -> SeenBy:
     """Return the camera of people seen by one camera."""
-    made, frames = people.methods[-1], shown_frames(people)
+    made, frames = people.methods[-1], spanned_frames(people)
     track = made.people[0].track
     keypoints_px = np.full((len(frames), len(made.people), OP14.num_joints, 2), np.nan)
     for number, person in enumerate(made.people):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.cameras.frames import frame_columns, square_to
+from pasdedeux.cameras.frames import frame_columns, most_square_axis
 from pasdedeux.compiled import inner_kernel
-from pasdedeux.kinematics.rotation_kernels import cross, dot, mix, normalise, row_of, subtract
+from pasdedeux.kinematics.rotation_kernels import cross, dot, normalise, row_of, subtract, weighted_sum
 from pasdedeux.skeletons import PAIR17
 
 _NUM_JOINTS = PAIR17.num_joints
@@ -71,7 +71,7 @@ def _estimate(  # type: ignore[no-untyped-def]
 
 
 @inner_kernel()
-def estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: ignore[no-untyped-def]
+def estimate_dissimilarities(points, bank, x, y, turn, estimate, least, first):  # type: ignore[no-untyped-def]
     """Project under every view and estimate d_I of all of its candidates.
 
     Args:
@@ -100,7 +100,7 @@ def estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: i
         if count == 0:
             continue
         a, b, c = row_of(bank.directions, view)
-        _project(points, mix(1.0, mix(a, i, b, j), c, k), x[view], y[view])
+        _project(points, weighted_sum(1.0, weighted_sum(a, i, b, j), c, k), x[view], y[view])
         for joint in range(num_points):
             image[0, joint], image[1, joint] = x[view, joint], y[view, joint]
         _pull(bank.springs[view], image, pulls, constants)
@@ -118,7 +118,7 @@ def estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: i
 def _project(points, towards, x, y):  # type: ignore[no-untyped-def]
     """Write the centred orthographic image of points (n, 3) from a direction of any length, in any turn."""
     back = normalise(towards)
-    up = normalise(square_to(back))
+    up = normalise(most_square_axis(back))
     right = cross(up, back)
     mean_x = mean_y = 0.0
     for k in range(points.shape[0]):

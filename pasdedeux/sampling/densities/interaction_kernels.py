@@ -9,7 +9,7 @@ import numpy as np
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.interaction.kernels import fill_edge_weights, keep_seen_edges, side_sum
 from pasdedeux.interaction.triangulation import triangulate, workspace
-from pasdedeux.sampling.densities.interaction_estimates import estimate_views
+from pasdedeux.sampling.densities.interaction_estimates import estimate_dissimilarities
 
 ESTIMATE_TOLERANCE_M = 1e-3
 """Rounding error of an estimate of d_I, metres: it is the root of a small difference of large numbers."""
@@ -203,7 +203,7 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
     for view in range(num_views):
         best[view] = np.inf
         best_slot[view] = -1
-    estimate_views(points, bank, xs, ys, turn, estimate, least, first)
+    estimate_dissimilarities(points, bank, xs, ys, turn, estimate, least, first)
     overall = limit
     # Least contribution to the sum of the views not yet searched, and that of the searched ones.
     rest_m, sum_m = 0.0, 0.0

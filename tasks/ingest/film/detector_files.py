@@ -10,7 +10,7 @@ from typing import NamedTuple
 from pasdedeux.errors import InputError
 from storage_schema.durable import cache_folder
 from tasks.files.downloads import check_host
-from tasks.files.user_files import digest_of
+from tasks.files.user_files import user_file_digest
 from tasks.stage import SourceFile
 
 _ADDRESS = re.compile(r"(https://[^#\s]+)#sha256=([0-9a-f]{64})")
@@ -80,7 +80,7 @@ def find_network(stated: str) -> SourceFile:
                 f"detector {stated} does not exist; give the ONNX file of RTMO, RTMPose or MoveNet, an address with "
                 f"#sha256=DIGEST, or a name: {', '.join(KNOWN_DETECTORS)}"
             )
-        return SourceFile(path=str(path), sha256=digest_of(path))
+        return SourceFile(path=str(path), sha256=user_file_digest(path))
     address = known.address if known else network_address(stated)
     if not address.kept.exists():
         raise InputError(
@@ -112,5 +112,5 @@ def check_network(address: NetworkAddress) -> None:
     Raises:
         InputError: Its digest is not the one in its name.
     """
-    if digest_of(address.kept) != address.sha256:
+    if user_file_digest(address.kept) != address.sha256:
         raise InputError(f"detector {address.kept} is damaged: it has another digest than its name; delete it")

@@ -70,7 +70,7 @@ def find_shots(
     return shots
 
 
-def annotate(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedShot:
+def annotate_film(parameters: FilmParameters, files: tuple[SourceFile, ...]) -> AnnotatedShot:
     """Return the annotations of all frames of a shot, with the film's frame numbers, and their doubts.
 
     Raises:

@@ -17,7 +17,7 @@ from pasdedeux.people.resolution import ResolvedPeople
 from pasdedeux.spread import some_of
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.film.parameters import FilmOptions, FilmParameters
-from tasks.ingest.film.resolution import annotate, find_shots, read_shot, shot_images
+from tasks.ingest.film.resolution import annotate_film, find_shots, read_shot, shot_images
 from tasks.ingest.poses2d.readers import IMAGE_SUFFIXES
 from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, FoundAnnotations, decisions_of
 from tasks.ingest.poses2d.run import commit_poses2d
@@ -38,7 +38,7 @@ class FoundFilm(FoundAnnotations):
 
     def attachments(self, resolved: ResolvedPeople) -> dict[str, bytes]:
         """Return the table of people, all keypoints with their status, for corrections, and pictures."""
-        frames = annotate(self.parameters, self.files).frames
+        frames = annotate_film(self.parameters, self.files).frames
         table = {ANNOTATIONS_NAME: write_annotation_csv(frames).encode()}
         return super().attachments(resolved) | table | _pictures(self.parameters, self.files, frames)
 

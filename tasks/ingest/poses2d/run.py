@@ -16,7 +16,7 @@ from pasdedeux.skeletons import COUNTED17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.files.user_files import digest_of
+from tasks.files.user_files import user_file_digest
 from tasks.ingest.poses2d.parameters import AnnotationParameters
 from tasks.ingest.poses2d.resolution import DEFAULT_RATE_HZ, MAX_NAMED_FILES, FoundAnnotations
 from tasks.rows.camera_motions import motion_table
@@ -41,7 +41,7 @@ def commit_poses2d(shard: Shard, store: Store, source: FoundAnnotations) -> Arti
     """
     parameters = source.parameters
     for file in shard.files:
-        if digest_of(Path(file.path)) != file.sha256:
+        if user_file_digest(Path(file.path)) != file.sha256:
             raise InputError(f"file {file.path} changed since the run was planned; run again")
     resolved = source.resolve()
     frames = resolved.frames

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pasdedeux.choreography.duet import MIN_DURATION_S
-from pasdedeux.choreography.duets import style_of
+from pasdedeux.choreography.duets import duet_style
 from pasdedeux.errors import InputError, named
 from pasdedeux.formats.rates import one_rate
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
@@ -158,7 +158,7 @@ def _family_file(family: PairOptions, subject: str, take: str) -> Path:
 
 
 def _duet_shard(inputs: StageInputs, parameters: IngestParameters, duet: DuetOptions) -> Shard:
-    style_of(duet.name, **duet.settings)
+    duet_style(duet.name, **duet.settings)
     take_id = duet.take_id
     if parameters.take_seconds is not None:
         duet = duet.model_copy(

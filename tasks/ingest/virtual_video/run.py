@@ -12,7 +12,7 @@ from pasdedeux.cameras.virtual_video import (
     Annotated,
     VirtualView,
     add_junk,
-    annotate,
+    annotate_pixels,
     frame_take,
     passer_by,
     sample_views,
@@ -103,7 +103,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         exact = _see(view, pair17[frames], op14[frames])
         shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))
         occlusion = _MISSED if parameters.detector else parameters.occlusion
-        seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
+        seen = annotate_pixels(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
         if parameters.detector:
             sequence_id += ".detector"
             seen_by = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
@@ -188,7 +188,7 @@ def _detect(
             rng, joined, centre, towards_camera=view.camera.position_m - centre, rate_hz=parameters.rate_hz
         )
         exact = _see(view, moved[:, : PAIR17.num_joints], moved[:, PAIR17.num_joints :])
-        extra = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=_MISSED)
+        extra = annotate_pixels(rng, exact, noise_px=parameters.noise_px, occlusion=_MISSED)
         px = np.concatenate([px, np.full((len(px), 1, *px.shape[2:]), np.nan)], axis=1)
         confidence = np.concatenate([confidence, np.zeros((len(px), 1, px.shape[2]))], axis=1)
         px[there, -1], confidence[there, -1] = extra.px, extra.confidence

@@ -10,7 +10,7 @@ from pasdedeux.augmentation import weights as w
 from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.exact_bones import project_to_bones
-from pasdedeux.augmentation.factor import factorise, solve
+from pasdedeux.augmentation.factor import factorise, solve_factored
 from pasdedeux.augmentation.problem import MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import bending_rows, build_problem, build_targets
 from pasdedeux.augmentation.variations import (
@@ -116,7 +116,7 @@ def test_the_shared_factor_solves_its_matrix(frames: int) -> None:
         rhs[:frames] = np.stack([_apply(problem, expected[..., v], group) for v in range(3)], axis=-1)
         solution = np.zeros((factor.num_blocks, 88, 3, 3))
         solution[:, :, [0, 2]] = rhs.reshape(factor.num_blocks, 88, 1, 3)
-        solve(factor, solution, np.array([0, 2]))
+        solve_factored(factor, solution, np.array([0, 2]))
         assert not solution[:, :, 1].any()
         for axis in (0, 2):
             np.testing.assert_allclose(solution[:, :, axis].reshape(-1, 44, 3)[:frames], expected, atol=1e-7)

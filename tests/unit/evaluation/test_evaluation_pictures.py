@@ -32,7 +32,7 @@ from pasdedeux.evaluation.pictures import (
 from pasdedeux.evaluation.report import Report, Section, render
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
-from pasdedeux.evaluation.styles import COLOURS, style_of
+from pasdedeux.evaluation.styles import COLOURS, method_style
 from pasdedeux.evaluation.summary import Credit, Made, Summary
 from pasdedeux.evaluation.verdicts import Criterion, Items
 from pasdedeux.skeletons import BODY22, OP14
@@ -389,20 +389,20 @@ def test_a_method_has_one_style_and_neighbours_differ_in_colour_and_marker() -> 
     methods = known_methods()
     for at, method in enumerate(methods):
         for other in methods[at + 1 : at + len(COLOURS)]:
-            assert style_of(method).colour != style_of(other).colour
-            assert style_of(method).marker != style_of(other).marker
+            assert method_style(method).colour != method_style(other).colour
+            assert method_style(method).marker != method_style(other).marker
     for together in (
         ("ic", "prior_only", "grown_seeds", "filled_seeds", "repaired"),
         ("over_time", "fitted", "neighbours", "nearest_draw", "mean_pair"),
         ("fit", "nearest", "viterbi", "window", "published", "live"),
         ("ridge_scale", "copy", "naive_fk"),
     ):
-        assert len({style_of(method).colour for method in together}) == len(together)
-    assert style_of("cartesian_repaired").colour == style_of("cartesian").colour
-    assert style_of("cartesian_repaired").marker != style_of("cartesian").marker
+        assert len({method_style(method).colour for method in together}) == len(together)
+    assert method_style("cartesian_repaired").colour == method_style("cartesian").colour
+    assert method_style("cartesian_repaired").marker != method_style("cartesian").marker
     (axis,) = new_figure(3.0, 3.0)[1][0]
     _draw_panel(axis, CurvePanel("y", {name: (np.arange(2.0), np.arange(2.0)) for name in methods[:3]}), "x")
-    assert [(line.get_color(), line.get_marker()) for line in axis.lines] == [*map(style_of, methods[:3])]
+    assert [(line.get_color(), line.get_marker()) for line in axis.lines] == [*map(method_style, methods[:3])]
 
 
 def test_bars_say_what_the_verdict_says_and_leave_out_what_was_scored_on_other_items() -> None:

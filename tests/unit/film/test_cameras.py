@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras.pinhole import PinholeCamera
-from pasdedeux.cameras.virtual_video import annotate, frame_take, look_at_camera, sample_views
+from pasdedeux.cameras.virtual_video import annotate_pixels, frame_take, look_at_camera, sample_views
 from pasdedeux.errors import InputError
 
 
@@ -91,12 +91,12 @@ def test_views_stay_in_their_intervals_and_cover_all_yaws() -> None:
 
 def test_annotation_noise_and_occlusion_have_the_stated_size() -> None:
     exact = np.zeros((500, 17, 2))
-    marked = annotate(np.random.default_rng(4), exact, noise_px=3.0, occlusion=0.2)
+    marked = annotate_pixels(np.random.default_rng(4), exact, noise_px=3.0, occlusion=0.2)
     is_seen = marked.confidence > 0
     assert np.array_equal(is_seen, np.isfinite(marked.px).all(axis=-1))
     assert 1 - is_seen.mean() == pytest.approx(0.2, abs=0.025)
     assert np.nanstd(marked.px) == pytest.approx(3.0, rel=0.05)
-    clean = annotate(np.random.default_rng(4), exact)
+    clean = annotate_pixels(np.random.default_rng(4), exact)
     assert np.array_equal(clean.px, exact)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.planning import StageSelection
-from flows.reasons import MAX_CHARACTERS, shorten
+from flows.reasons import MAX_CHARACTERS, shorten_text
 from tests.builders.toy_runs import call, run_toys, write_study
 
 
@@ -89,6 +89,6 @@ def test_a_dataset_differs_from_an_older_run_as_its_own_run_does(
 
 @given(st.text(max_size=3 * MAX_CHARACTERS))
 def test_a_text_is_shown_as_it_is_or_its_beginning_as_long_as_allowed(text: str) -> None:
-    shown = shorten(text)
+    shown = shorten_text(text)
     assert len(shown) == min(len(text), MAX_CHARACTERS)
     assert shown == text or text.startswith(shown.removesuffix("..."))

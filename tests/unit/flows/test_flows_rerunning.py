@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from flows.console.app import run_command_line
-from flows.differences import compare
+from flows.differences import compare_builds
 from flows.recorded import Recorded, artifacts_by_place, portable_files, read_recorded
 from storage_schema import ArtifactRef, Store, list_runs, read_latest
 from tasks.graph import Graph
@@ -229,7 +229,7 @@ def test_other_bytes_of_a_page_are_rounding_only_after_rounded_tables(built: Sto
     assert latest is not None
     new = artifacts_by_place(titled, latest.refs("judge"))
     aside = {place: manifest for place, manifest in old.artifacts.items() if place[0] != "aside"}
-    found = compare(built, aside, titled, new)
+    found = compare_builds(built, aside, titled, new)
     assert (found.num_same, list(found.differing), found.beyond) == (
         12,
         [("judge", "all", "all")],
@@ -237,7 +237,7 @@ def test_other_bytes_of_a_page_are_rounding_only_after_rounded_tables(built: Sto
     )
     assert [str(one) for one in found.differing["judge", "all", "all"]] == ["report.html: other bytes"]
     without = {place: manifest for place, manifest in new.items() if place != ("grow", "t0", "s0")}
-    assert compare(built, aside, titled, without).only_one == (("grow", "t0", "s0"),)
+    assert compare_builds(built, aside, titled, without).only_one == (("grow", "t0", "s0"),)
 
 
 @pytest.mark.parametrize(

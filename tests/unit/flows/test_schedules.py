@@ -73,7 +73,7 @@ def test_a_store_has_a_queue_for_one_build_at_a_time_and_what_is_there_is_not_ma
 
         monkeypatch.setattr(schedules, "get_client", client)
         told = {"study": "duets.toml", "store": store}
-        name = schedules.deploy("duets", told, **{"cron": None, "every": None, **when}, pool="own")
+        name = schedules.put_deployment("duets", told, **{"cron": None, "every": None, **when}, pool="own")
         assert name == f"{schedules.dataset.name}/duets"
         return applied.pop()
 
@@ -140,7 +140,7 @@ def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewh
     found = SimpleNamespace(api=SimpleNamespace(url=address))
     monkeypatch.setattr("prefect.settings.get_current_settings", lambda: found)
     monkeypatch.setattr("flows.console.deploy.check_server", lambda asked, note: checked.append(asked))
-    monkeypatch.setattr("flows.schedules.deploy", put)
+    monkeypatch.setattr("flows.schedules.put_deployment", put)
     monkeypatch.chdir(tmp_path)
     study = write_study(tmp_path)
     line = ["deploy", study.name, "--store", "built", "--workers", "2", "--set", "grow.num_takes=1", "--pool", "mine"]

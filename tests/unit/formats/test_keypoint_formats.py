@@ -16,7 +16,7 @@ from pasdedeux.formats.poses2d.annotation_npz import read_annotation_npz
 from pasdedeux.formats.poses2d.coco import read_coco
 from pasdedeux.formats.poses2d.detections import Footage
 from pasdedeux.formats.poses2d.openpose import OPENPOSE
-from pasdedeux.formats.poses2d.points import read_points
+from pasdedeux.formats.poses2d.points import read_landmarks
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
@@ -233,7 +233,7 @@ def test_landmarks_of_every_form_are_the_same_person(form: str) -> None:
 def test_landmarks_of_several_people_are_all_read_and_state_the_image() -> None:
     content = json.loads(landmark_texts(people=2)["people"])
     text = json.dumps({"video": {"frame_rate": 50.0, "image_width": 400, "image_height": 400}, "frames": content})
-    found = read_points(text, sequence_id="m")
+    found = read_landmarks(text, sequence_id="m")
     assert found.person_id.tolist() == [0, 1] * 6
     assert (found.rate_hz, found.image_size_px, found.has_identities) == (50.0, {"m": (400, 400)}, False)
 
@@ -258,7 +258,7 @@ def test_landmarks_of_several_people_are_all_read_and_state_the_image() -> None:
 )
 def test_a_fault_of_a_file_of_landmarks_is_named(text: str, says: str) -> None:
     with pytest.raises(FormatError, match=says):
-        read_points(text, sequence_id="m")
+        read_landmarks(text, sequence_id="m")
 
 
 def test_whole_body_results_are_read_without_face_and_hands() -> None:

@@ -11,7 +11,7 @@ from pasdedeux.learning.networks.class_vaes import _divergence_between
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.networks.layers import WindowNetwork, divergence
 from pasdedeux.learning.networks.motion_predictor import MotionPredictor
-from pasdedeux.learning.registry import describe, load_model, model_arrays
+from pasdedeux.learning.registry import describe_model, load_model, model_arrays
 from pasdedeux.learning.settings import PaperCvaeConfig
 from pasdedeux.learning.window_vae import Action2MotionLikeModel, ActorLikeModel, PaperCvaeModel, WindowVae
 from tests.builders.moving_pairs import swaying_pair
@@ -65,11 +65,11 @@ def test_a_class_model_answers_any_length_comes_back_from_its_arrays_and_refuses
         motion = model.predict(request)
         assert motion.shape == source.positions_m.shape
         assert np.isfinite(motion).all()
-        np.testing.assert_array_equal(load_model(describe(model), model_arrays(model)).predict(request), motion)
+        np.testing.assert_array_equal(load_model(describe_model(model), model_arrays(model)).predict(request), motion)
     with pytest.raises(InputError, match="weights of another topology or size"):
-        load_model(describe(model), model_arrays(model) | {"known_scales": np.ones((2, 22), np.float32)})
+        load_model(describe_model(model), model_arrays(model) | {"known_scales": np.ones((2, 22), np.float32)})
     with pytest.raises(InputError, match="scales, or some that are not positive"):
-        load_model(describe(model), model_arrays(model) | {"known_scales": np.zeros((3, 22), np.float32)})
+        load_model(describe_model(model), model_arrays(model) | {"known_scales": np.zeros((3, 22), np.float32)})
 
 
 @KINDS
@@ -129,7 +129,7 @@ def test_every_architecture_is_trained_segment_by_segment(architecture: str) -> 
         told = Training(lambda: iter(items), settings=settings, segment=segment, state=state)
         trained = PaperCvaeModel.train(told)
         state = trained.state
-    loaded = load_model(describe(trained.model), model_arrays(trained.model))
+    loaded = load_model(describe_model(trained.model), model_arrays(trained.model))
     np.testing.assert_array_equal(loaded.predict(request), trained.model.predict(request))
 
 

@@ -11,7 +11,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import rotate
-from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, clips_of, exchange, joint_errors
+from pasdedeux.learning.clips import CLIP_FRAMES, HISTORY, HORIZON, cut_clips, exchange_people, joint_errors
 from pasdedeux.learning.networks.clip_classifier import train_classifier
 from pasdedeux.learning.networks.motion_predictor import train_predictor
 from pasdedeux.learning.settings import ClassifierSettings, PredictorSettings
@@ -46,9 +46,9 @@ def _turned(motion_m: np.ndarray, yaw: float, shift: tuple[float, float]) -> np.
 
 
 def test_clips_do_not_depend_on_where_the_pair_is_and_where_it_faces() -> None:
-    clips = clips_of(MOTION, 30.0)
+    clips = cut_clips(MOTION, 30.0)
     assert clips.shape == (5, CLIP_FRAMES, 2, 22, 3)
-    np.testing.assert_allclose(clips_of(_turned(MOTION, 1.3, (2.0, -1.0)), 30.0), clips, atol=1e-9)
+    np.testing.assert_allclose(cut_clips(_turned(MOTION, 1.3, (2.0, -1.0)), 30.0), clips, atol=1e-9)
     middle = clips[:, CLIP_FRAMES // 2, :, 0]
     np.testing.assert_allclose(middle[..., [0, 2]].sum(axis=1), 0.0, atol=1e-9)
     assert (middle[:, 1, 0] > 0.0).all()
@@ -57,18 +57,18 @@ def test_clips_do_not_depend_on_where_the_pair_is_and_where_it_faces() -> None:
 
 
 def test_a_motion_that_is_shorter_than_a_clip_is_held_at_its_end() -> None:
-    (clip,) = clips_of(MOTION[:30], 30.0)
+    (clip,) = cut_clips(MOTION[:30], 30.0)
     assert len(clip) == CLIP_FRAMES
     np.testing.assert_array_equal(clip[9:], np.repeat(clip[9:10], CLIP_FRAMES - 9, axis=0))
-    assert clips_of(MOTION[:1], 30.0).shape == (1, CLIP_FRAMES, 2, 22, 3)
-    assert clips_of(MOTION[:57], 30.0, is_held=False).shape == (0, CLIP_FRAMES, 2, 22, 3)
-    assert len(clips_of(MOTION[:58], 30.0, is_held=False)) == 1
+    assert cut_clips(MOTION[:1], 30.0).shape == (1, CLIP_FRAMES, 2, 22, 3)
+    assert cut_clips(MOTION[:57], 30.0, is_held=False).shape == (0, CLIP_FRAMES, 2, 22, 3)
+    assert len(cut_clips(MOTION[:58], 30.0, is_held=False)) == 1
 
 
 def _classes() -> dict[str, np.ndarray]:
     found = {}
     for name, apart in (("far", 0.9), ("near", 0.5)):
-        found[name] = np.concatenate([clips_of(swaying_pair(90, seed=s, apart_m=apart), 30.0) for s in range(3)])
+        found[name] = np.concatenate([cut_clips(swaying_pair(90, seed=s, apart_m=apart), 30.0) for s in range(3)])
     return found
 
 
@@ -89,7 +89,7 @@ def test_the_classifier_learns_to_tell_two_kinds_apart_and_always_the_same() -> 
 
 def test_the_predictor_begins_with_the_last_pose_and_learns_to_do_better_on_unseen_motion() -> None:
     clips = np.concatenate(
-        [clips_of(swaying_pair(120, seed=s), 30.0, num_frames=HISTORY + HORIZON, frame=HISTORY - 1) for s in range(5)]
+        [cut_clips(swaying_pair(120, seed=s), 30.0, num_frames=HISTORY + HORIZON, frame=HISTORY - 1) for s in range(5)]
     )
     train, test = clips[:-3], clips[-3:]
     known, true = test[:, :HISTORY], test[:, HISTORY:]
@@ -241,7 +241,7 @@ def test_several_models_learn_beside_each_other_and_roles_are_classes_of_their_o
     assert set(trained[0]) == {*kinds, *(f"{kind}, exchanged" for kind in kinds)}
     for clips in trained:
         for kind in kinds:
-            np.testing.assert_allclose(exchange(clips[f"{kind}, exchanged"]), clips[kind], atol=1e-9)
+            np.testing.assert_allclose(exchange_people(clips[f"{kind}, exchanged"]), clips[kind], atol=1e-9)
     made = {score.method: score.value for score in result.scores if score.metric == "accuracy"}
     assert set(made) == {BY_SOLVER, BY_MODEL, "augmented_by_other", WITHOUT, LARGEST}
     assert made[BY_SOLVER] == 4.0, "two interactions that no model saw, each in two roles"

@@ -22,7 +22,7 @@ from pasdedeux.learning.baselines import NaiveFkModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel
 from pasdedeux.learning.meter import UNITS, ModelMeter, key_contacts, model_errors
 from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest
-from pasdedeux.learning.registry import ModelDescription, describe, load_model, model_arrays
+from pasdedeux.learning.registry import ModelDescription, describe_model, load_model, model_arrays
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.splits import SPLIT_NAMES, VariantKey, make_split
@@ -136,7 +136,7 @@ def test_an_unseen_take_that_is_adapted_to_comes_near_the_solver_at_far_scales()
     (arms,) = group_variations([0.8], ["A"], ["arms"])
     of_arms = model.predict(VariantRequest(other.name, other, arms.bone_scale))
     np.testing.assert_array_equal(model.predict(VariantRequest(other.name, other, arms.bone_scale)), of_arms)
-    again = load_model(describe(model), model_arrays(model))
+    again = load_model(describe_model(model), model_arrays(model))
     np.testing.assert_array_equal(again.predict(request), model.predict(request))
 
 

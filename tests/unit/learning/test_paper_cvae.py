@@ -16,10 +16,10 @@ from pasdedeux.learning.meter import ModelMeter
 from pasdedeux.learning.model import Trained, Training, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.interaction_cvae import InteractionCvae
 from pasdedeux.learning.networks.layers import _graph, divergence, draw_latent
-from pasdedeux.learning.registry import MODELS, ModelDescription, describe, load_model, model_arrays
+from pasdedeux.learning.registry import MODELS, ModelDescription, describe_model, load_model, model_arrays
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.window_vae import PaperCvaeModel
-from pasdedeux.learning.windows import blend, cut, sampled_frames
+from pasdedeux.learning.windows import blend_windows, cut_windows, sampled_frames
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
@@ -127,7 +127,7 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
     both = [TrainingItem("AB", VariantRequest("sway", TAKE, BOTH), TAKE.positions_m)]
     with pytest.raises(InputError, match="no variant of one scaled person"):
         PaperCvaeModel.train(Training(lambda: iter(both), settings=SMALL))
-    arrays, description = model_arrays(_model()), describe(_model())
+    arrays, description = model_arrays(_model()), describe_model(_model())
     with pytest.raises(InputError, match=r"'st_gcn1.blocks.0.mix.edges' has shape \(18, 18\), not \(22, 22\)"):
         load_model(description, {**arrays, "st_gcn1.blocks.0.mix.edges": np.ones((18, 18), np.float32)})
     for change in ({"width": 10**9}, {"architecture": "another"}, {"height": 3}):
@@ -142,11 +142,11 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
 def test_frames_between_the_sampled_ones_are_on_a_cubic_spline(num_frames: int) -> None:
     source = Source(swaying_pair(num_frames), 30.0, "sway")
     frames = sampled_frames(source)
-    (window,) = cut(source, "", 1, len(frames))
+    (window,) = cut_windows(source, "", 1, len(frames))
     values = np.random.default_rng(0).standard_normal(window.template_m.shape).astype(np.float32)
     in_world = values.astype(np.float64) @ window.axes.T
     wanted = CubicSpline(frames, in_world)(np.arange(num_frames)) if num_frames > 1 else in_world
-    np.testing.assert_allclose(blend(source, [window], iter([values])), wanted, atol=1e-12)
+    np.testing.assert_allclose(blend_windows(source, [window], iter([values])), wanted, atol=1e-12)
 
 
 def test_a_gpu_that_runs_out_of_memory_is_said_and_what_was_trained_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

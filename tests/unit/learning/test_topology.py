@@ -13,7 +13,15 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.baselines import CopyModel
 from pasdedeux.learning.meter import ModelMeter
 from pasdedeux.learning.model import Training, TrainingItem, VariantModel, VariantRequest, mapped_item, mapped_source
-from pasdedeux.learning.registry import MODELS, Weights, describe, load_model, model_arrays, read_weights, write_weights
+from pasdedeux.learning.registry import (
+    MODELS,
+    Weights,
+    describe_model,
+    load_model,
+    model_arrays,
+    read_weights,
+    write_weights,
+)
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22, MODEL_SKELETONS
 from storage_schema import Store
 from tasks.evaluation.realism import TOPIC, LearnedSettings
@@ -90,7 +98,7 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
     assert np.isfinite(motion).all()
     unseen = replace(asked, take_id="another")
     np.testing.assert_array_equal(
-        load_model(describe(model), model_arrays(model)).predict(unseen), model.predict(unseen)
+        load_model(describe_model(model), model_arrays(model)).predict(unseen), model.predict(unseen)
     )
     found = ModelMeter(asked).measure(asked.bone_scale, {kind.name: motion}, MAPPED.positions_m)[kind.name]
     assert {"E_r", "E_b", "PWD"} <= {name for name, value in found.items() if np.isfinite(value)}
@@ -104,7 +112,7 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
     # Arrays of both mixed, and a file that says it is of the other.
     key = "mix" if kind.name == "ridge_scale" else "known_scales"
     with pytest.raises(InputError, match="weights of another topology"):
-        load_model(describe(other), {**model_arrays(other), key: model_arrays(model)[key]})
+        load_model(describe_model(other), {**model_arrays(other), key: model_arrays(model)[key]})
     data = write_weights(Weights(model))
     assert read_weights(data, "own").model.skeleton is EXPI18
     said = b",".join(name.encode() for name in EXPI18.joint_names)

@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning.baselines import NaiveFkModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel
 from pasdedeux.learning.model import Training, TrainingItem, VariantRequest
-from pasdedeux.learning.registry import Weights, describe, load_model, model_arrays, read_weights, write_weights
+from pasdedeux.learning.registry import Weights, describe_model, load_model, model_arrays, read_weights, write_weights
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.skeletons import BODY22
@@ -27,7 +27,7 @@ ITEMS = [TrainingItem("v", VariantRequest("sway", TAKE, scale), TAKE.positions_m
 RIDGE = RidgeScaleModel.train(Training(lambda: iter(ITEMS))).model
 MODEL = RidgeAdaptedModel.train(Training(lambda: iter(ITEMS), start=RIDGE)).model
 DATA = write_weights(Weights(MODEL, {"sway": "digest"}))
-WHAT = describe(MODEL).model_dump()
+WHAT = describe_model(MODEL).model_dump()
 
 
 def _forged(change: dict[str, np.ndarray], **said: object) -> bytes:
@@ -43,7 +43,7 @@ def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes
     np.testing.assert_array_equal(again.model.predict(request), MODEL.predict(request))
     assert write_weights(again) == DATA
     refined = MeshRefineModel(MeshRefineModel(NaiveFkModel(), 1), 2)
-    assert describe(load_model(describe(refined), model_arrays(refined))) == describe(refined)
+    assert describe_model(load_model(describe_model(refined), model_arrays(refined))) == describe_model(refined)
     assert {name: a.tobytes() for name, a in model_arrays(again.model).items()} == {
         name: a.tobytes() for name, a in model_arrays(MODEL).items()
     }
@@ -106,6 +106,6 @@ def test_whatever_is_changed_in_the_head_of_a_file_it_is_read_or_refused(data: s
 
 def test_a_take_that_a_model_does_not_know_is_another_whatever_its_name() -> None:
     with pytest.raises(InputError, match="learned take sway with 6 frames, asked for 4"):
-        load_model(describe(RIDGE), model_arrays(RIDGE)).predict(
+        load_model(describe_model(RIDGE), model_arrays(RIDGE)).predict(
             VariantRequest("sway", TAKE.take_frames(slice(0, 4)), SCALES[0])
         )

@@ -17,7 +17,7 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import growth
 from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth import ViewedImages, grow
-from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+from pasdedeux.sampling.growth_kernels import keep_nearest, place_near_image
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
@@ -62,7 +62,7 @@ def test_view_residuals_are_those_of_projected_images() -> None:
 
 def placed(image: np.ndarray, depth: np.ndarray, lengths: np.ndarray, tightness: float) -> np.ndarray:
     out = np.empty((2, 17, 3))
-    place_bones(image, depth, lengths, ORDER, PARENTS, np.full((2, 17), tightness), out)
+    place_near_image(image, depth, lengths, ORDER, PARENTS, np.full((2, 17), tightness), out)
     return out
 
 

@@ -11,7 +11,7 @@ from pasdedeux.interaction.nearest import cartesian_distances
 from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.neighbourhoods import MIN_FILLED_LOG_PRIOR, NUM_PARENTS, fill
+from pasdedeux.sampling.neighbourhoods import MIN_FILLED_LOG_PRIOR, NUM_PARENTS, pairs_between
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, PairChart
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.sampling.selection import DUPLICATE_M
@@ -49,7 +49,7 @@ def test_lengths_of_another_body_are_tied_and_clipped() -> None:
 
 def test_filled_pairs_lie_between_their_parents_and_are_plausible_and_new() -> None:
     pairs = random_pairs(np.random.default_rng(5), 40, spread_rad=0.1)
-    filling = fill(pairs, 60, np.random.default_rng(1), LIMITS)
+    filling = pairs_between(pairs, 60, np.random.default_rng(1), LIMITS)
     assert len(filling.pairs_m) == 60
     np.testing.assert_allclose(
         bone_lengths(PAIR17, filling.pairs_m), bone_lengths(PAIR17, pairs[filling.parents[:, 0]])
@@ -79,7 +79,7 @@ def test_weight_on_one_parent_gives_that_pair_back(monkeypatch: pytest.MonkeyPat
         "pasdedeux.sampling.neighbourhoods.PairSelector.add", lambda self, given, *_: np.ones(len(given), bool)
     )
     monkeypatch.setattr("pasdedeux.sampling.neighbourhoods.MIN_FILLED_LOG_PRIOR", -np.inf)
-    filling = fill(pairs, 12, OnTheThird(np.random.PCG64(1)), WIDE)
+    filling = pairs_between(pairs, 12, OnTheThird(np.random.PCG64(1)), WIDE)
     for pair, parents in zip(filling.pairs_m, filling.parents, strict=True):
         third, points = pairs[parents[2]].reshape(-1, 3), pair.reshape(-1, 3)
         np.testing.assert_allclose(align_rigid(points, third).apply(points), third, atol=2e-4)
@@ -87,7 +87,7 @@ def test_weight_on_one_parent_gives_that_pair_back(monkeypatch: pytest.MonkeyPat
 
 def test_fewer_are_filled_in_where_means_are_refused_or_alike() -> None:
     same = np.repeat(random_pairs(np.random.default_rng(7), 1), 8, axis=0)
-    filling = fill(same, 3, np.random.default_rng(1), WIDE)
+    filling = pairs_between(same, 3, np.random.default_rng(1), WIDE)
     assert filling.pairs_m.shape == (0, 2, 17, 3)
     assert filling.num_refused > 0
-    assert fill(same[:6], 3, np.random.default_rng(1), WIDE).parents.shape == (0, NUM_PARENTS)
+    assert pairs_between(same[:6], 3, np.random.default_rng(1), WIDE).parents.shape == (0, NUM_PARENTS)

@@ -45,7 +45,7 @@ from tasks.shards import (
     ShardDone,
     ShardError,
     connect,
-    joined,
+    join_failures,
     run,
     worker_environment,
 )
@@ -95,7 +95,7 @@ def compute(
         elif not ended.is_behind:
             errors.append(ended.error)
     if errors:
-        raise joined(sorted(errors, key=lambda error: error.where))
+        raise join_failures(sorted(errors, key=lambda error: error.where))
     return found
 
 

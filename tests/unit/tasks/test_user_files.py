@@ -18,7 +18,7 @@ from flows.console.app import run_command_line
 from flows.console.live import _read as read_live_frame
 from pasdedeux.errors import InputError
 from tasks.files.curation import choices_in
-from tasks.files.user_files import digest_of, exported_unit_m, read_file, read_text_file
+from tasks.files.user_files import exported_unit_m, read_file, read_text_file, user_file_digest
 from tasks.ingest.files import load_file
 from tasks.ingest.film.readers import open_film
 from tasks.ingest.poses2d.readers import open_capture
@@ -30,7 +30,7 @@ KINDS = {"folder": "a folder", "pipe": "a pipe", "socket": "a socket", "device":
 READERS: dict[str, Callable[[Path], object]] = {
     "read_file": read_file,
     "read_text_file": read_text_file,
-    "digest_of": digest_of,
+    "user_file_digest": user_file_digest,
     "load_file": load_file,
     "choices": choices_in,
     "profile": read_profile,
@@ -135,15 +135,15 @@ def test_a_file_is_digested_once_while_it_stays_as_it_is(tmp_path: Path, monkeyp
     path.write_bytes(b"one")
     for _ in range(2):  # it may be written again within a step of the disk's clock
         path.write_bytes(b"two")
-        assert digest_of(path) == hashlib.sha256(b"two").hexdigest()
+        assert user_file_digest(path) == hashlib.sha256(b"two").hexdigest()
         path.write_bytes(b"six")
-        assert digest_of(path) == hashlib.sha256(b"six").hexdigest()
+        assert user_file_digest(path) == hashlib.sha256(b"six").hexdigest()
     old.write_bytes(b"old")
     monkeypatch.setattr("tasks.files.user_files._SETTLED_NS", -(10**18))
-    assert digest_of(old) == digest_of(old, b"old")
+    assert user_file_digest(old) == user_file_digest(old, b"old")
     monkeypatch.setattr(hashlib, "file_digest", None)
     monkeypatch.setattr(hashlib, "sha256", None)
-    assert digest_of(old) == digest_of(old, b"old")
+    assert user_file_digest(old) == user_file_digest(old, b"old")
 
 
 @pytest.mark.parametrize("unit_m", [0.0, -1.0, np.nan, np.inf, "metre", [0.01, 0.01]])

@@ -30,7 +30,7 @@ from flows.viewing.films import FilmReader, find_film
 from flows.viewing.kinds import KINDS
 from flows.viewing.listing import qualities
 from flows.viewing.room import across
-from flows.viewing.saving import LinkPane, encode, encode_clip, save_clip
+from flows.viewing.saving import LinkPane, encode_clip, encode_image, save_clip
 from flows.viewing.scene import Flat, Grid, People
 from flows.viewing.seen import LIMBS17, LIMBS22, SequenceFootage
 from flows.viewing.shelf import Shelf, ViewedPartition, moment_reference, open_shelf
@@ -45,7 +45,7 @@ from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Manifest, Store, new_run
 from tasks.files.curation import Choosing
-from tasks.files.user_files import digest_of
+from tasks.files.user_files import user_file_digest
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.readers import FilmFrame, open_film, read_film
 from tasks.ingest.film.run import find_videos
@@ -526,7 +526,7 @@ def test_of_a_reference_only_its_own_rows_are_offered(store: Store) -> None:
 def test_pictures_and_clips_are_read_back_by_opencv() -> None:
     rng = np.random.default_rng(2)
     images = [np.full((48, 64, 3), rng.integers(256, size=3), dtype=np.uint8) for _ in range(3)]
-    read = cv2.imdecode(np.frombuffer(encode(images[0], ".png"), np.uint8), cv2.IMREAD_COLOR)
+    read = cv2.imdecode(np.frombuffer(encode_image(images[0], ".png"), np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), images[0])
     found, clip = cv2.imdecodeanimation(np.frombuffer(encode_clip(images, 10.0), np.uint8))
     assert found
@@ -681,11 +681,11 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
 ) -> None:
     path = grey_film(tmp_path / "grey.avi", 5)
     told = {"num_given": 1, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
-    files = (("keys.csv", "0" * 64), (path.name, digest_of(path)))
+    files = (("keys.csv", "0" * 64), (path.name, user_file_digest(path)))
     manifest = SimpleNamespace(parameters=told, files=files)
     ingest = {"videos": [{"id": "grey", "path": str(path)}]}
     asked: list[Path] = []
-    monkeypatch.setattr("flows.viewing.films.digest_of", lambda one: asked.append(one) or digest_of(one))
+    monkeypatch.setattr("flows.viewing.films.user_file_digest", lambda one: asked.append(one) or user_file_digest(one))
     found = find_film(manifest, ingest)  # type: ignore[arg-type]
     assert found is not None
     assert not asked, "whoever opens an item does not wait for all of its film"
@@ -761,7 +761,7 @@ def test_a_film_of_images_of_which_one_has_changed_is_not_shown(tmp_path: Path) 
     for path in paths:
         cv2.imwrite(str(path), np.full((8, 8, 3), 90, dtype=np.uint8))
     told = {"num_given": 0, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
-    files = tuple((path.name, digest_of(path)) for path in paths)
+    files = tuple((path.name, user_file_digest(path)) for path in paths)
     ingest = {"videos": [{"id": "images", "path": str(tmp_path)}]}
     for last, is_shown in ((files[2], True), ((paths[2].name, "1" * 64), False)):
         film = find_film(SimpleNamespace(parameters=told, files=(*files[:2], last)), ingest)  # type: ignore[arg-type]

@@ -79,7 +79,7 @@ def test_people_have_the_colours_of_the_report(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(overlay_video, "_bodies", lambda *_: [None] * people)
     seen = SimpleNamespace(frames=[0], positions_m=positions_m, skeleton=BODY22, is_pair=False)
     export, cast = SimpleNamespace(store=None, footage=None), SimpleNamespace(labels=())
-    (image,) = overlay_video._drawn(export, cast, seen)  # type: ignore[arg-type]
+    (image,) = overlay_video._drawn(export, cast, seen)
     background = np.array(overlay_video._BACKGROUND)
     for colour in PERSON_COLOURS:
         drawn = background + overlay_video._OPAQUE * (np.array(rgb(colour)[::-1]) - background)

@@ -45,7 +45,6 @@ def by_frame(film: Film, frames: AnnotatedFrames) -> tuple[np.ndarray, np.ndarra
     """Return places and statuses (frame, person, joint) as the truth has them."""
     px, status = np.full(film.px.shape, np.nan), np.zeros(film.px.shape[:-1], dtype=int)
     px[frames.frame, frames.person_id] = frames.keypoints_px
-    assert frames.status is not None
     status[frames.frame, frames.person_id] = frames.status
     return px, status
 
@@ -149,7 +148,6 @@ def test_the_frames_to_correct_are_those_in_which_a_detector_jumps(waltz: Film) 
 def test_annotations_with_their_statuses_survive_our_csv_and_only_what_was_given_is_tracked_again(waltz: Film) -> None:
     frames = annotated(waltz, keys_of(waltz, hidden=0.0)).frames
     again = read_annotation_csv(write_annotation_csv(frames))
-    assert again.status is not None
     np.testing.assert_array_equal(again.status, frames.status)
     np.testing.assert_allclose(again.keypoints_px, frames.keypoints_px, atol=0.0051)
     assert sorted(set(again.given().frame.tolist())) == [0, 15, 30, 45]
@@ -211,7 +209,6 @@ def test_faces_are_blurred_unless_asked_otherwise_and_people_are_drawn(waltz: Fi
 
 def test_joints_of_a_key_frame_that_were_only_tracked_are_tracked_anew_and_not_hidden(waltz: Film) -> None:
     frames = annotated(waltz, keys_of(waltz)).frames
-    assert frames.status is not None
     is_corrected = (frames.frame == 7)[:, None] & (np.arange(17) == WRIST)
     corrected = replace(frames, status=np.where(is_corrected, KeypointStatus.ANNOTATED, frames.status))
     given = with_identities(corrected, is_key=True)
@@ -251,7 +248,6 @@ def test_a_corrected_keypoint_leaves_no_old_track_in_frames_that_the_new_one_doe
     frames = shot.frames
     is_late = (frames.frame > 20) & (frames.person_id == 1)
     is_wrist = np.arange(17) == WRIST
-    assert frames.status is not None
     old = replace(
         frames,
         confidence=np.where(is_late[:, None] & ~is_wrist, 0.0, frames.confidence),
@@ -280,6 +276,5 @@ def test_statuses_stay_with_the_detections_of_which_some_are_dropped(waltz: Film
     both = replace(both, has_identities=False, status=np.broadcast_to(status, both.confidence.shape))
     found = with_identities(both, is_key=False)
     assert found.num_rows == given.num_rows
-    assert found.status is not None
     assert (found.status[:, WRIST] == KeypointStatus.ANNOTATED).mean() > 0.9
     assert not (np.delete(found.status, WRIST, axis=1) == KeypointStatus.ANNOTATED).any()

@@ -34,7 +34,6 @@ def renamed(motion: SourceMotion, seed: int) -> tuple[SourceMotion, dict[str, st
 def differences(draft: Draft, motion: SourceMotion, old_names: dict[str, str]) -> dict[str, str]:
     """Return the parts of a draft that the layout of the motion has other joints for."""
     known = find_layout(motion.skeleton, motion.rest_offsets)
-    assert known is not None
     expected = {part: entry for part, entry in known.parts.items() if isinstance(entry, str)}
     told = {part.part: old_names[part.joint] for part in draft.parts if part.joint}
     return {part: joint for part, joint in told.items() if joint != expected.get(part, joint)}
@@ -49,7 +48,6 @@ def test_names_that_say_nothing_leave_the_mapping_of_every_rig(rig: Rig, seed: i
     assert differences(draft, motion, old_names) == {}
     assert not any(part.is_sure for part in draft.parts)
     known = find_layout(motion.skeleton, motion.rest_offsets)
-    assert known is not None
     limbs = [joint for joint in BODY22.joint_names if joint.startswith(("left", "right"))]
     assert set(limbs) & set(draft.layout("mine").derived) == set(limbs) & set(known.derived)
 
@@ -117,7 +115,6 @@ def test_a_draft_written_into_a_study_is_the_same_layout_and_says_what_is_a_gues
     motion = read_bvh(SMALL_BVH.replace("LeftLeg", "Bend.A").replace("RightLeg", 'Bend "B"'))
     guess = guess_motion(motion)
     assert guess.layout is None
-    assert guess.draft is not None
     unsure = {part.part for part in guess.draft.parts if not part.is_sure}
     assert unsure == {"left_knee", "right_knee"}
     text = guess.draft.toml("mine")

@@ -80,7 +80,6 @@ def test_a_mapping_that_puts_two_joints_on_one_place_is_refused() -> None:
 def test_real_files_become_people(data_dir: Path) -> None:
     for name, motion in real_motions(data_dir).items():
         layout = find_layout(motion.skeleton, motion.rest_offsets_m)
-        assert layout is not None
         assert layout.name == name
         check_layout(motion, layout)
         poses = derive_working_poses(motion, layout)

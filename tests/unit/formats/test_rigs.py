@@ -28,7 +28,6 @@ foot 0.2 cm, by the same proportions; collars without a joint lie at a quarter o
 def errors_cm(rig: Rig, motion: SourceMotion) -> dict[str, float]:
     """Return the greatest distance of each joint of body22 from the person's, centimetres."""
     layout = find_layout(motion.skeleton, motion.rest_offsets)
-    assert layout is not None
     placed = motion.to_motion(metres_per_unit=rig.metres_per_unit, rate_hz=30.0)
     check_layout(placed, layout)
     found, places = rig.to_person(derive_working_poses(placed, layout).body22_m), truth(rig)
@@ -43,7 +42,6 @@ def errors_cm(rig: Rig, motion: SourceMotion) -> dict[str, float]:
 def test_every_rig_is_recognised_and_its_joints_lie_where_the_persons_are(rig: Rig) -> None:
     motion = rig.source()
     layout = find_layout(motion.skeleton, motion.rest_offsets)
-    assert layout is not None
     assert layout.name == rig.layout
     has = rig.names.keys()
     for joint, error in errors_cm(rig, motion).items():
@@ -61,7 +59,6 @@ def test_every_rig_is_recognised_and_its_joints_lie_where_the_persons_are(rig: R
 def test_the_nose_is_before_the_ears_where_the_rest_pose_tells_it(rig: Rig) -> None:
     motion = rig.source()
     layout = find_layout(motion.skeleton, motion.rest_offsets)
-    assert layout is not None
     poses = derive_working_poses(motion.to_motion(metres_per_unit=rig.metres_per_unit, rate_hz=30.0), layout)
     before = rig.to_person(poses.op14_m[0, 0]) - truth(rig)["ear"][0]
     assert (before[2] > 0.03) == (rig.pose != "random")
@@ -93,7 +90,6 @@ def renamed(motion: SourceMotion, names: Sequence[str]) -> SourceMotion:
 def test_spelling_changes_neither_layout_nor_joints(rig: Rig) -> None:
     motion = rig.source()
     plain = find_layout(motion.skeleton, motion.rest_offsets)
-    assert plain is not None
     for spelling, respelled in SPELLINGS.items():
         other = renamed(motion, [respelled(name) for name in motion.skeleton.joint_names])
         found = find_layout(other.skeleton, other.rest_offsets)
@@ -131,7 +127,6 @@ def test_parts_of_a_mapping_are_enough_and_the_rest_is_derived() -> None:
     parts["skull"] = names["head"]
     found = resolve_layout("mine", odd.skeleton, odd.rest_offsets, {"mine": {"parts": parts}})
     known = find_layout(motion.skeleton, motion.rest_offsets)
-    assert known is not None
     assert found.derived == known.derived
     placed, plain = (one.to_motion(metres_per_unit=rig.metres_per_unit, rate_hz=30.0) for one in (odd, motion))
     expected = vars(derive_working_poses(plain, known))
@@ -154,7 +149,6 @@ def test_changes_to_a_known_layout_reach_files_with_a_namespace() -> None:
 def test_every_rig_can_be_posed_and_scaled_by_its_body22(rig: Rig) -> None:
     motion = rig.source().to_motion(metres_per_unit=rig.metres_per_unit, rate_hz=30.0)
     layout = find_layout(motion.skeleton, motion.rest_offsets_m)
-    assert layout is not None
     rigged = OwnSkeleton(motion, body_map(layout, motion.skeleton, motion.rest_offsets_m))
     body22_m, ones = rigged.body.of(motion), np.ones(BODY22.num_joints)
     np.testing.assert_allclose(rigged.posed(body22_m, ones).world()[0], motion.world()[0], atol=1e-6)

@@ -134,7 +134,6 @@ def test_what_a_reader_assumed_is_in_the_verdict_of_the_take(tmp_path: Path) -> 
     shard = STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section))[0]
     ref = STAGE.run_shard(shard, store)
     verdict = verdict_of(store.manifest(ref))
-    assert verdict is not None
     reason = verdict.reason
     assert "pair.bvh: it states 3 frames and holds 4, which are read" in reason
     assert "pair.bvh: its frame time 0.033 is rounded: 30 Hz is taken, not 30.3" in reason

@@ -80,7 +80,7 @@ def test_a_mapping_takes_weighted_means_of_source_joints() -> None:
 )
 def test_a_mapping_that_does_not_fit_its_target_is_refused(table: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        JointMap(name="m", target=_two_joints(), table=table)  # type: ignore[arg-type]
+        JointMap(name="m", target=_two_joints(), table=table)
 
 
 def test_a_mapping_names_the_source_joint_it_misses() -> None:

@@ -42,7 +42,7 @@ def body_with(scales: np.ndarray) -> np.ndarray:
 
 def npz(**arrays: object) -> bytes:
     file = io.BytesIO()
-    np.savez(file, **{name: np.asarray(value) for name, value in arrays.items()})  # type: ignore[arg-type]
+    np.savez(file, **{name: np.asarray(value) for name, value in arrays.items()})
     return file.getvalue()
 
 

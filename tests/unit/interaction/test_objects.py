@@ -109,7 +109,6 @@ def test_hands_on_an_object_are_found_wherever_the_take_lies() -> None:
     assert set(found.points[on_bar][:, 1]) >= set(WRISTS)
     assert (found.shares[on_bar][:, 2:] == 0.0).all()
     turn, shift = yaw_rotmat(0.7), np.array([1.0, 0.0, -2.0])
-    assert source.objects is not None
     moved = MovingObjects(("bar",), source.objects.ends_m @ turn.T + shift, source.objects.radii_m)
     again = Source(source.positions_m @ turn.T + shift, 30.0, objects=moved).contacts()
     np.testing.assert_allclose(found.weights, again.weights, atol=1e-9)
@@ -187,7 +186,6 @@ def test_contacts_of_what_is_not_there_are_refused(stated: dict[str, Any], sente
 
 def test_objects_of_another_length_are_refused() -> None:
     source = carried_bar()
-    assert source.objects is not None
     with pytest.raises(InputError, match="its objects have 15 frames, the people 16"):
         Source(source.positions_m, 30.0, objects=source.objects.at(slice(1, None)))
 
@@ -257,7 +255,6 @@ def test_three_files_objects_and_contacts_make_a_take(tmp_path: Path) -> None:
     ref = STAGE.run_shard(shard, store)
     manifest, source = store.manifest(ref), read_take(store, ref).source
     assert (manifest.facts["num_persons"], source.num_people, source.num_frames) == (3, 3, 25)
-    assert source.objects is not None
     assert source.objects.names == ("hoop",)
     np.testing.assert_allclose(source.objects.ends_m[:, 0, 0, 1], 1.0 + np.arange(10, 60, 2) / 59.0, atol=1e-6)
     np.testing.assert_allclose(source.objects.radii_m, [0.05])
@@ -290,7 +287,6 @@ def test_what_is_in_a_hand_is_in_it_wherever_the_take_is_put(tmp_path: Path, up_
     options = {**take, "contacts": None, "persons": [moved] * 3, "floor": "auto"}
     ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=0), section(options))[0], store)
     source = read_take(store, ref).source
-    assert source.objects is not None
     np.testing.assert_allclose(source.objects.ends_m[:, 0], source.positions_m[:, 0, WRISTS], atol=1e-4)
 
 
@@ -302,14 +298,12 @@ def test_objects_that_nobody_comes_near_are_doubted_and_rows_come_by_name(tmp_pa
     (tmp_path / "hoop.csv").write_text(table_of(objects))
     ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=0), section({**take, "contacts": None}))[0], store)
     verdict = verdict_of(store.manifest(ref))
-    assert verdict is not None
     assert verdict.level is Level.WARN
     assert "nobody comes nearer than 93." in verdict.reason
     assert "'box': are these metres" in verdict.reason
     assert "'pole'" not in verdict.reason
     assert store.read(ref, "objects")["object"].tolist() == ["box"] * 25 + ["pole"] * 25
     found = read_take(store, ref).source.objects
-    assert found is not None
     assert found.names == ("box", "pole")
     np.testing.assert_allclose(found.ends_m[:, 1], 0.0, atol=1e-6)
     np.testing.assert_allclose(found.radii_m, [0.1, 0.05])

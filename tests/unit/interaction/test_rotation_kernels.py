@@ -10,7 +10,7 @@ from pasdedeux.kinematics import rotation_kernels, rotations
 
 
 @compiled()
-def run_kit(quaternions, vectors):  # type: ignore[no-untyped-def]
+def run_kit(quaternions, vectors):
     out = np.empty((quaternions.shape[0], 26))
     for at in range(quaternions.shape[0]):
         p = (quaternions[at, 0, 0], quaternions[at, 0, 1], quaternions[at, 0, 2], quaternions[at, 0, 3])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.c3d import write_c3d
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
 from pasdedeux.formats.poses2d.cvat import write_cvat
 from pasdedeux.formats.trc import write_trc
@@ -17,8 +17,7 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from tests.builders.annotation_files import write_annotation_npz
-from tests.builders.body_models import amass, body_model
+from tests.builders.body_models import amass, body_model, npz
 
 FIGURE_REST_M = {
     "pelvis": (0.0, 0.95, 0.0),
@@ -341,9 +340,21 @@ def csv_text(num_frames: int = 3) -> str:
 def positions_npz() -> bytes:
     """Return the figure's positions without rotations."""
     positions, _ = figure_motion().world()
-    out = io.BytesIO()
-    np.savez_compressed(out, positions_m=positions, joint_names=np.array(BODY22.joint_names), rate_hz=np.array(30.0))
-    return out.getvalue()
+    return npz(positions_m=positions, joint_names=np.array(BODY22.joint_names), rate_hz=np.array(30.0))
+
+
+def write_annotation_npz(frames: AnnotatedFrames) -> bytes:
+    """Return annotations as our npz, as programs of users write it."""
+    stated = {"image_size_px": next(iter(frames.image_size_px.values()), None), "rate_hz": frames.rate_hz}
+    return npz(
+        layout=frames.layout,
+        sequence=frames.sequence_id,
+        frame=frames.frame,
+        person=frames.person_id,
+        keypoints_px=frames.keypoints_px,
+        confidence=frames.confidence,
+        **{name: value for name, value in stated.items() if value},
+    )
 
 
 def c3d_points(subjects: str = "A") -> bytes:

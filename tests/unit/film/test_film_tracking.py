@@ -15,7 +15,6 @@ from pasdedeux.film.annotating import AnnotatedShot, annotate_shot, correct_keyp
 from pasdedeux.film.drawing import contact_sheet, draw_people
 from pasdedeux.film.shots import ShotFinder, at_constant_rate, constant_rate_hz
 from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, join_frames
-from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv, write_annotation_csv
 from pasdedeux.skeletons import PAIR17
 from tests.builders.rendered_film import Film, duet_bodies, render, rows_of, salsa_bodies
 
@@ -143,14 +142,6 @@ def test_the_frames_to_correct_are_those_in_which_a_detector_jumps(waltz: Film) 
     points[np.ix_((given.frame == 20) & (given.person_id == 1), [PAIR17.index("neck")])] += 30.0
     wanted = frames_to_correct(annotated(waltz, replace(given, keypoints_px=points), is_key=False), 1)
     assert abs(wanted[0] - 20) <= 1
-
-
-def test_annotations_with_their_statuses_survive_our_csv_and_only_what_was_given_is_tracked_again(waltz: Film) -> None:
-    frames = annotated(waltz, keys_of(waltz, hidden=0.0)).frames
-    again = read_annotation_csv(write_annotation_csv(frames))
-    np.testing.assert_array_equal(again.status, frames.status)
-    np.testing.assert_allclose(again.keypoints_px, frames.keypoints_px, atol=0.0051)
-    assert sorted(set(again.given().frame.tolist())) == [0, 15, 30, 45]
 
 
 def test_larger_film_is_tracked_as_well_in_smaller_images() -> None:

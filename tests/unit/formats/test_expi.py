@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,7 @@ from pasdedeux.interaction.contacts import find_contacts
 from pasdedeux.learning.meter import key_contacts, model_errors
 from pasdedeux.skeletons import BODY22, EXPI18
 from storage_schema import Store
-from tasks import ingest
-from tasks.stage import StageInputs
+from tests.builders.ingest_runs import planned, run
 from tests.builders.source_samples import EXPI_NAMES, expi_people, expi_tsv
 
 
@@ -42,23 +42,19 @@ def test_leader_and_follower_come_back_at_their_places_in_metres_and_25_hz() -> 
         (lambda text: text.rpartition(",")[0] + ",lost", "line 41: .*'lost'"),
     ],
 )
-def test_a_mangled_take_is_refused_with_its_line(mangle: object, message: str) -> None:
-    assert callable(mangle)
+def test_a_mangled_take_is_refused_with_its_line(mangle: Callable[[str], str], message: str) -> None:
     with pytest.raises(FormatError, match=message):
         read_expi(mangle(expi_tsv().decode()).encode())
 
 
-def test_a_take_names_the_file_once_for_each_person(tmp_path: Path) -> None:
-    path = tmp_path / "acro1" / "a-frame1" / "mocap_cleaned.tsv"
-    path.parent.mkdir(parents=True)
+def test_a_take_names_the_file_once_for_each_person(tmp_path: Path, store: Store) -> None:
+    path = tmp_path / "mocap_cleaned.tsv"
     people = expi_people()
     path.write_bytes(expi_tsv(people))
-    section = {"takes": [{"id": "a", "files": [str(path)] * 2, "up_axis": "z"}], "rate_hz": 25.0}
-    section["virtual_video"] = {"num_videos": 0, "num_random_views": 0}
-    (shard,) = ingest.plan(StageInputs({}, seed=0), ingest.IngestParameters.model_validate(section))
-    store = Store(tmp_path / "store")
-    ref = ingest.run_shard(shard, store)
-    takes, poses = store.read(ref, "takes"), store.read(ref, "poses")
+    take = {"id": "a", "files": [str(path)] * 2, "up_axis": "z"}
+    no_video = {"num_videos": 0, "num_random_views": 0}
+    (made,) = run(store, planned(takes=[take], rate_hz=25.0, virtual_video=no_video)).values()
+    takes, poses = store.read(made.ref, "takes"), store.read(made.ref, "poses")
     assert (set(takes["source_format"]), set(takes["layout"])) == ({"expi"}, {"expi"})
     assert all(takes["is_position_only"])
     body22 = np.asarray(poses["body22_m"], dtype=float).reshape(2, -1, 22, 3)
@@ -66,9 +62,8 @@ def test_a_take_names_the_file_once_for_each_person(tmp_path: Path) -> None:
     for joint in ("left_wrist", "right_knee", "left_hip", "right_toe"):
         expected = people[:, :, EXPI18.index(joint)].swapaxes(0, 1) + np.array([0.0, floor, 0.0])
         np.testing.assert_allclose(body22[:, :, BODY22.index(joint)], expected, atol=0.01)
-    section["takes"] = [{"id": "a", "files": [str(path)] * 3, "up_axis": "z"}]
     with pytest.raises(InputError, match=r"take a: mocap_cleaned\.tsv: person 2: it holds 2 people"):
-        ingest.plan(StageInputs({}, seed=0), ingest.IngestParameters.model_validate(section))
+        planned(takes=[take | {"files": [str(path)] * 3}])
 
 
 def test_contacts_and_jpd_are_found_on_18_joints() -> None:

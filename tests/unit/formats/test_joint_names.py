@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable
 
@@ -18,6 +17,7 @@ from pasdedeux.formats.poses2d.cvat import read_cvat
 from pasdedeux.formats.poses2d.own_layout import read_layout
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS_OF_COUNT, layout_of_names
+from tests.builders.body_models import npz
 from tests.builders.own_sources import film_duet
 from tests.builders.source_samples import person_px
 
@@ -84,10 +84,9 @@ def as_csv(names: list[str], tables: np.ndarray) -> AnnotatedFrames:
 
 
 def as_npz(names: list[str], tables: np.ndarray) -> AnnotatedFrames:
-    out, frames = io.BytesIO(), np.arange(len(tables))
-    people, confidence = np.zeros(len(tables), int), np.ones(tables.shape[:2])
-    np.savez(out, joint_names=np.array(names), frame=frames, person=people, keypoints_px=tables, confidence=confidence)
-    return read_annotation_npz(out.getvalue(), "s")
+    frames, people, confidence = np.arange(len(tables)), np.zeros(len(tables), int), np.ones(tables.shape[:2])
+    data = npz(joint_names=names, frame=frames, person=people, keypoints_px=tables, confidence=confidence)
+    return read_annotation_npz(data, "s")
 
 
 READERS: dict[str, Callable[[list[str], np.ndarray], AnnotatedFrames]] = {
@@ -116,6 +115,8 @@ def test_joints_go_where_their_names_say_in_any_spelling_and_order(case: str, re
 
 
 PARTS = ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")
+AMBIGUOUS = [layout.name for layouts in LAYOUTS_OF_COUNT.values() if len(layouts) > 1 for layout in layouts]
+"""Layouts whose number of keypoints another layout has as well."""
 
 
 def test_some_joints_are_read_and_names_that_no_layout_has_are_said_or_refused() -> None:
@@ -148,7 +149,7 @@ def test_categories_have_their_own_order() -> None:
     np.testing.assert_allclose(found.keypoints_px, np.stack([px, px]))
 
 
-@pytest.mark.parametrize("layout", [one.name for some in LAYOUTS_OF_COUNT.values() if len(some) > 1 for one in some])
+@pytest.mark.parametrize("layout", AMBIGUOUS)
 def test_numbers_alone_are_told_apart_by_the_body(layout: str) -> None:
     rng = np.random.default_rng(1)
     tables = np.stack([person_px(layout, seed) for seed in range(20)]) * 2.0
@@ -159,7 +160,7 @@ def test_numbers_alone_are_told_apart_by_the_body(layout: str) -> None:
         assert as_coco(list(numbers), tables).layout == layout
 
 
-@pytest.mark.parametrize("layout", [one.name for some in LAYOUTS_OF_COUNT.values() if len(some) > 1 for one in some])
+@pytest.mark.parametrize("layout", AMBIGUOUS)
 @pytest.mark.parametrize("duet", ["hug", "lift"])
 def test_numbers_alone_of_people_who_move_are_told_apart(duet: str, layout: str) -> None:
     film = film_duet(duet, duration_s=1.0, rate_hz=10.0)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, check_anatomy
-from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv
+from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames, KeypointStatus, check_anatomy
+from pasdedeux.formats.poses2d.annotation_csv import read_annotation_csv, write_annotation_csv
 from pasdedeux.formats.poses2d.annotation_npz import read_annotation_npz
 from pasdedeux.formats.poses2d.coco import read_coco
 from pasdedeux.formats.poses2d.detections import Footage
@@ -19,7 +19,6 @@ from pasdedeux.formats.poses2d.openpose import OPENPOSE
 from pasdedeux.formats.poses2d.points import read_landmarks
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS
-from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
 from tests.builders.source_samples import (
     coco_text,
     csv_text,
@@ -28,6 +27,7 @@ from tests.builders.source_samples import (
     people_of,
     person_px,
     result_texts,
+    write_annotation_npz,
 )
 
 
@@ -336,6 +336,7 @@ def test_our_csv_says_layout_size_and_rate_or_has_them_told() -> None:
     assert found.image_size_px == {"sequence": (640, 480)}
     bare = "\n".join(line for line in csv_text().split("\n") if not line.startswith("#"))
     assert read_annotation_csv(bare).layout == "pair17"
+    assert read_annotation_csv(f"{bare}9,0,pelvis,,,\n").confidence[-1].sum() == 0
     with pytest.raises(FormatError, match="the layout is unclear"):
         read_annotation_csv("frame,person,joint,x,y\n0,0,left_knee,1,2\n")
     assert read_annotation_csv("frame,person,joint,x,y\n0,0,left_knee,1,2\n", layout="coco17").layout == "coco17"
@@ -362,7 +363,7 @@ def test_a_fault_of_our_csv_is_named_with_its_line(old: str, new: str, sentence:
 
 
 def test_our_formats_round_trip_with_missing_keypoints_and_people() -> None:
-    px = np.stack([person_px("body25", seed) for seed in range(4)])
+    px = np.stack([person_px("body25", seed) for seed in range(4)]).round(2)
     px[1, 3] = np.nan
     px[2] = np.nan
     frames = AnnotatedFrames(
@@ -376,12 +377,16 @@ def test_our_formats_round_trip_with_missing_keypoints_and_people() -> None:
         rate_hz=29.97,
     )
     assert frames.sequence_id == ("a", "a", "b", "b")
-    for again in (read_annotation_csv(write_annotation_csv(frames)), read_annotation_npz(write_annotation_npz(frames))):
+    shown = frames.rows(frames.confidence.any(axis=1))
+    kinds = np.where(shown.frame == 0, KeypointStatus.ANNOTATED, KeypointStatus.TRACKED)[:, None]
+    shown = replace(shown, status=np.where(shown.confidence > 0, kinds, KeypointStatus.MISSING))
+    for given, again in (
+        (frames, read_annotation_npz(write_annotation_npz(frames))),
+        (shown, read_annotation_csv(write_annotation_csv(shown))),
+    ):
         assert (again.layout, again.image_size_px, again.rate_hz) == ("body25", frames.image_size_px, 29.97)
-        assert again.sequence_id == frames.sequence_id
-        np.testing.assert_array_equal(again.keypoints_px, frames.keypoints_px)
-        np.testing.assert_array_equal(again.confidence, frames.confidence)
-        np.testing.assert_array_equal(again.frame, frames.frame)
+        for name in ("sequence_id", "frame", "person_id", "keypoints_px", "confidence", "status"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(given, name))
 
 
 def test_the_same_person_twice_in_a_frame_is_refused() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import tomllib
 from pathlib import Path
 
@@ -15,34 +14,29 @@ from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.trc import TRC, read_points, write_trc
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
-from tasks.stage.judgements import verdict_of
+from tests.builders.body_models import npz
 from tests.builders.bvh_rigs import Node, body_nodes, bvh_of
+from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.source_samples import c3d_points, figure_motion, trc_text
 
 POSITIONS_M = figure_motion(num_frames=40).world()[0]
 PEOPLE_M = np.stack([POSITIONS_M, POSITIONS_M + np.array([1.0, 0.0, 0.0])], axis=1)
 
 
-def npz(positions_m: np.ndarray) -> bytes:
-    out = io.BytesIO()
-    names = np.array(BODY22.joint_names)
-    np.savez_compressed(out, positions_m=positions_m, joint_names=names, rate_hz=np.array(30.0003))
-    return out.getvalue()
+def people_npz(positions_m: np.ndarray) -> bytes:
+    return npz(positions_m=positions_m, joint_names=BODY22.joint_names, rate_hz=30.0003)
 
 
 def test_joints_of_body22_need_no_parents_in_any_order() -> None:
     order = np.random.default_rng(0).permutation(len(BODY22.joint_names))
-    out = io.BytesIO()
-    np.savez(out, positions_m=POSITIONS_M[:, order], joint_names=np.array(BODY22.joint_names)[order])
-    positions, _ = POSITIONS_NPZ.read(out.getvalue(), b"").to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
+    data = npz(positions_m=POSITIONS_M[:, order], joint_names=np.array(BODY22.joint_names)[order])
+    positions, _ = POSITIONS_NPZ.read(data, b"").to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
     np.testing.assert_allclose(positions, POSITIONS_M, atol=1e-7)
 
 
 @pytest.mark.parametrize("axes", [(0, 1, 2, 3), (1, 0, 2, 3)], ids=["frames first", "people first"])
 def test_the_people_of_an_npz_are_read_whichever_axis_is_theirs(axes: tuple[int, ...]) -> None:
-    data = npz(PEOPLE_M.transpose(axes))
+    data = people_npz(PEOPLE_M.transpose(axes))
     assert POSITIONS_NPZ.count_people(data) == 2
     for number in (0, 1):
         source = POSITIONS_NPZ.read_person(number, data)
@@ -53,7 +47,7 @@ def test_the_people_of_an_npz_are_read_whichever_axis_is_theirs(axes: tuple[int,
 
 def test_a_crowd_in_an_npz_is_refused() -> None:
     with pytest.raises(FormatError, match="the number of people of array 'positions_m' is 30"):
-        POSITIONS_NPZ.read(npz(np.tile(POSITIONS_M[:, None], (1, 30, 1, 1))), b"")
+        POSITIONS_NPZ.read(people_npz(np.tile(POSITIONS_M[:, None], (1, 30, 1, 1))), b"")
 
 
 def test_what_is_written_as_trc_is_read() -> None:
@@ -104,7 +98,7 @@ def angles_of(nodes: list[Node], place: float) -> np.ndarray:
 PAIRS = {
     "pair.c3d": c3d_points("AB"),
     "pair.trc": trc_text("AB").encode(),
-    "pair.npz": npz(PEOPLE_M),
+    "pair.npz": people_npz(PEOPLE_M),
     "pair.bvh": bvh_of_two(),
 }
 
@@ -127,15 +121,12 @@ def test_a_new_study_of_one_file_has_both_of_its_people(name: str, tmp_path: Pat
     ])  # fmt: skip
 
 
-def test_what_a_reader_assumed_is_in_the_verdict_of_the_take(tmp_path: Path) -> None:
+def test_what_a_reader_assumed_is_in_the_verdict_of_the_take(tmp_path: Path, store: Store) -> None:
     (tmp_path / "pair.bvh").write_bytes(bvh_of_two())
-    section = {"takes": [{"id": "a", "files": [str(tmp_path / "pair.bvh")] * 2}], "rate_hz": 30.0}
-    store = Store(tmp_path / "store")
-    shard = STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section))[0]
-    ref = STAGE.run_shard(shard, store)
-    verdict = verdict_of(store.manifest(ref))
-    reason = verdict.reason
+    take = {"id": "a", "files": [str(tmp_path / "pair.bvh")] * 2}
+    made, *_ = run(store, planned(takes=[take], rate_hz=30.0)[:1]).values()
+    reason = judged(made).reason
     assert "pair.bvh: it states 3 frames and holds 4, which are read" in reason
     assert "pair.bvh: its frame time 0.033 is rounded: 30 Hz is taken, not 30.3" in reason
-    body22 = np.asarray(store.read(ref, "poses")["body22_m"]).reshape(2, 4, 22, 3)
+    body22 = np.asarray(store.read(made.ref, "poses")["body22_m"]).reshape(2, 4, 22, 3)
     np.testing.assert_allclose(body22[1] - body22[0], np.broadcast_to([0.9, 0.0, 0.0], body22[0].shape), atol=1e-6)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
+from tests.builders.body_models import npz
 from tests.builders.own_sources import write_walk
 from tests.builders.source_samples import FIGURE_REST_M, figure_motion
 
@@ -38,12 +38,6 @@ def tee() -> np.ndarray:
 
 def body_with(scales: np.ndarray) -> np.ndarray:
     return place_bones(BODY22, np.zeros(3), bone_directions(BODY22, tee()), LENGTHS * scales)
-
-
-def npz(**arrays: object) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, **{name: np.asarray(value) for name, value in arrays.items()})
-    return file.getvalue()
 
 
 @given(seed=st.integers(0, 1000))

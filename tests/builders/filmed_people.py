@@ -13,7 +13,7 @@ from pasdedeux.people.identity import body_size_px
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = ["KINDS", "Detections", "Faulty", "JointCounts", "count_joints", "film", "inject", "people_of"]
+__all__ = ["KINDS", "Detections", "Faulty", "JointCounts", "count_joints", "film", "inject", "joined", "people_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -55,6 +55,12 @@ class Detections:
         return Detections(
             self.frame[chosen], self.true_id[chosen], self.keypoints_px[chosen], self.confidence[chosen], self.rate_hz
         )
+
+
+def joined(*parts: Detections) -> Detections:
+    """Return the rows of all parts, one after the other."""
+    names = ("frame", "true_id", "keypoints_px", "confidence")
+    return Detections(*(np.concatenate([getattr(part, name) for part in parts]) for name in names), parts[0].rate_hz)
 
 
 def film(

@@ -6,13 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
+from pasdedeux.projections.database import Database, DatabaseCamera
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["random_poses", "reconstruction", "walk"]
+__all__ = ["CAMERAS", "random_poses", "reconstruction", "walk", "walk_database"]
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +50,16 @@ def random_poses(rng: np.random.Generator, count: int, *, spread: float = 0.5) -
     """Positions (count, 14, 3) of unrelated poses about the T-pose, mid-hip at the origin."""
     unitquat = unitquat_from_rotvec(rng.normal(0, spread, (count, 14, 3)))
     return place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, np.zeros((count, 3)))
+
+
+CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35)]
+
+
+def walk_database(seed: int, camera: DatabaseCamera, *, num_frames: int = 20, num_yaws: int = 30) -> Database:
+    """Return a database of a walk, of five unrelated poses, and of the same walk again."""
+    steps, others = walk(num_frames, seed=seed), random_poses(np.random.default_rng(seed), 5)
+    poses = centre_and_face(np.concatenate([steps, others, steps])).poses_m.astype(np.float32)
+    return Database(poses, np.zeros(len(poses), dtype=bool), num_yaws=num_yaws, camera=camera)
 
 
 def reconstruction(

@@ -14,9 +14,7 @@ from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.pairs import centre_pairs, pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
-from tests.builders.walkers import walk
-
-CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35)]
+from tests.builders.walkers import CAMERAS, walk
 
 
 def make_pairs(num_frames: int, *, seed: int = 0) -> np.ndarray:

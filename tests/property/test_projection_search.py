@@ -10,18 +10,8 @@ from hypothesis import strategies as st
 from benchmarks.projections import search_brute_force
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database, DatabaseCamera
-from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import ProjectionIndex, build_index
-from tests.builders.walkers import random_poses, walk
-
-CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35)]
-
-
-def make_database(seed: int, camera: DatabaseCamera, num_yaws: int, num_frames: int) -> Database:
-    rng = np.random.default_rng(seed)
-    poses = np.concatenate([walk(num_frames, seed=seed), random_poses(rng, 5), walk(num_frames, seed=seed)])
-    poses = centre_and_face(poses).poses_m
-    return Database(poses.astype(np.float32), np.zeros(len(poses), dtype=bool), num_yaws=num_yaws, camera=camera)
+from tests.builders.walkers import CAMERAS, walk_database
 
 
 @settings(max_examples=40, deadline=None)
@@ -44,7 +34,7 @@ def test_the_tree_equals_brute_force_with_masks_and_weights(
     is_weighted: bool,
 ) -> None:
     # The same walk twice: every distance is a tie, which the projection number must break.
-    database = make_database(seed, camera, num_yaws, num_frames)
+    database = walk_database(seed, camera, num_frames=num_frames, num_yaws=num_yaws)
     rng = np.random.default_rng(seed + 1)
     query = database.project()[:, 0][rng.integers(0, database.num_rows, 6)].astype(np.float64)
     query += rng.normal(0, [0.0, 0.02, 0.5], (6, 14, 2, 3)).sum(axis=-1) * rng.integers(0, 2, (6, 1, 1))
@@ -58,7 +48,7 @@ def test_the_tree_equals_brute_force_with_masks_and_weights(
 
 @pytest.fixture(scope="module")
 def database() -> Database:
-    return make_database(3, DatabaseCamera(), 30, 200)
+    return walk_database(3, DatabaseCamera(), num_frames=200)
 
 
 @pytest.fixture(scope="module")

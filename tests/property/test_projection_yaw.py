@@ -6,19 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.projections.database import Database, DatabaseCamera
-from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.yaw import refine_yaws
-from tests.builders.walkers import random_poses, walk
-
-CAMERAS: list[DatabaseCamera] = [DatabaseCamera(), DatabaseCamera(0.35)]
-
-
-def make_database(seed: int, camera: DatabaseCamera) -> Database:
-    rng = np.random.default_rng(seed)
-    poses = centre_and_face(np.concatenate([walk(20, seed=seed), random_poses(rng, 5)])).poses_m
-    return Database(poses.astype(np.float32), np.zeros(len(poses), dtype=bool), camera=camera)
+from tests.builders.walkers import CAMERAS, walk_database
 
 
 @settings(max_examples=25, deadline=None)
@@ -26,7 +17,7 @@ def make_database(seed: int, camera: DatabaseCamera) -> Database:
 def test_refined_candidates_are_never_further_and_their_distance_is_that_of_the_camera(
     seed: int, camera: DatabaseCamera, noise_m: float, missing: float
 ) -> None:
-    database = make_database(seed, camera)
+    database = walk_database(seed, camera)
     rng = np.random.default_rng(seed)
     pose = database.turned(rng.integers(0, 25, 4), rng.uniform(0, 30, 4))
     query = camera.project(pose) + rng.normal(0, noise_m, (4, 14, 2))
@@ -52,7 +43,7 @@ def test_refined_candidates_are_never_further_and_their_distance_is_that_of_the_
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 1000), camera=st.sampled_from(CAMERAS), part=st.floats(-0.5, 0.5))
 def test_a_yaw_between_the_steps_is_found_again(seed: int, camera: DatabaseCamera, part: float) -> None:
-    database = make_database(seed, camera)
+    database = walk_database(seed, camera)
     rng = np.random.default_rng(seed)
     row, step = rng.integers(0, 20, 5), rng.integers(0, 30, 5)
     query = camera.project(database.turned(row, step + part))
@@ -64,7 +55,7 @@ def test_a_yaw_between_the_steps_is_found_again(seed: int, camera: DatabaseCamer
 
 
 def test_batched_and_single_queries_agree() -> None:
-    database = make_database(0, DatabaseCamera())
+    database = walk_database(0, DatabaseCamera())
     query = database.project()[:3, 4] + np.random.default_rng(0).normal(0, 0.02, (3, 14, 2))
     found = build_index(database).search(query, num_neighbours=5)
     _, yaw_steps = refine_yaws(database, found, query)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
-from pasdedeux.people.broken import find_breaks
+from pasdedeux.people.broken import Break, find_breaks
 from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.people.resolution import PeopleSettings, resolve_people
 from tests.builders.walkers import walk
@@ -28,54 +28,48 @@ def together(*people: dict) -> dict[str, np.ndarray]:
     return {name: np.concatenate([one[name] for one in people]) for name in ("frame", "person_id", "px")}
 
 
-def breaks(*people: dict) -> list[tuple[int, int, bool]]:
-    """Return who ends, who begins and whether it is clear, at 24 Hz."""
-    own = together(*people)
-    found = find_breaks(own["frame"], own["person_id"], own["px"], np.ones(own["px"].shape[:2]), rate_hz=24.0)
-    return [(one.before, one.after, one.is_clear) for one in found]
+def breaks(*people: dict) -> list[Break]:
+    """Return the breaks in these rows at 24 Hz, all of whose joints are seen."""
+    frame, person_id, px = together(*people).values()
+    return find_breaks(frame, person_id, px, np.ones(px.shape[:2]), rate_hz=24.0)
+
+
+def ends(*people: dict) -> list[tuple[int, int, bool]]:
+    """Return who ends, who begins and whether it is clear."""
+    return [(found.before, found.after, found.is_clear) for found in breaks(*people)]
 
 
 def test_who_ends_and_goes_on_where_and_as_large_as_before_is_clearly_one_person() -> None:
-    assert breaks(rows(0, 40, 0), rows(0, 90, 1, x_px=400.0), rows(45, 90, 2)) == [(0, 2, True)]
-    walking = rows(0, 50, 0, speed_px=5.0), rows(62, 110, 1, speed_px=5.0)
-    assert breaks(*walking) == [(0, 1, True)]
-
-
-@pytest.mark.parametrize("other", [rows(45, 90, 2, x_px=150.0), rows(45, 90, 2, size=1.3)])
-def test_who_begins_a_little_off_or_larger_is_asked_about(other: dict) -> None:
-    assert breaks(rows(0, 40, 0), other) == [(0, 2, False)]
-
-
-def test_who_walks_out_where_somebody_walks_in_is_asked_about() -> None:
-    leaving, entering = rows(0, 50, 0, speed_px=9.0), rows(74, 110, 1, speed_px=-9.0, x_px=36.0)
-    assert breaks(leaving, entering) == [(0, 1, False)]
-
-
-def test_where_two_could_be_the_one_who_ended_it_is_not_clear() -> None:
-    both = breaks(rows(0, 40, 0), rows(45, 90, 1, x_px=20.0), rows(46, 90, 2, x_px=-60.0))
-    assert both == [(0, 1, False)]
+    assert ends(rows(0, 40, 0), rows(0, 90, 1, x_px=400.0), rows(45, 90, 2)) == [(0, 2, True)]
+    assert ends(rows(0, 50, 0, speed_px=5.0), rows(62, 110, 1, speed_px=5.0)) == [(0, 1, True)]
 
 
 @pytest.mark.parametrize(
-    "other", [rows(45, 90, 2, x_px=400.0), rows(45, 90, 2, size=2.0), rows(130, 150, 2), rows(30, 90, 2)]
+    ("leaving", "entering"),
+    [
+        (rows(0, 40, 0), [rows(45, 90, 1, x_px=150.0)]),
+        (rows(0, 40, 0), [rows(45, 90, 1, size=1.3)]),
+        (rows(0, 50, 0, speed_px=9.0), [rows(74, 110, 1, speed_px=-9.0, x_px=36.0)]),
+        (rows(0, 40, 0), [rows(45, 90, 1, x_px=20.0), rows(46, 90, 2, x_px=-60.0)]),
+    ],
+    ids=["a little off", "larger", "walks the other way", "one of two"],
 )
-def test_who_begins_elsewhere_larger_much_later_or_at_the_same_time_is_somebody_else(other: dict) -> None:
-    assert breaks(rows(0, 40, 0), other) == []
+def test_who_may_be_the_one_who_ended_is_asked_about(leaving: dict, entering: list[dict]) -> None:
+    assert ends(leaving, *entering) == [(0, 1, False)]
+
+
+@pytest.mark.parametrize(
+    "entering", [rows(45, 90, 2, x_px=400.0), rows(45, 90, 2, size=2.0), rows(130, 150, 2), rows(30, 90, 2)]
+)
+def test_who_begins_elsewhere_larger_much_later_or_at_the_same_time_is_somebody_else(entering: dict) -> None:
+    assert ends(rows(0, 40, 0), entering) == []
 
 
 def source(*people: dict) -> AnnotatedFrames:
     """Return rows as a detector that numbers people over time lists them."""
-    own = together(*people)
-    return AnnotatedFrames(
-        layout="op14",
-        sequence_id=("clip",) * len(own["frame"]),
-        frame=own["frame"],
-        person_id=own["person_id"],
-        keypoints_px=own["px"],
-        confidence=np.ones(own["px"].shape[:2]),
-        rate_hz=24.0,
-        has_identities=True,
-    )
+    frame, person_id, px = together(*people).values()
+    seen, names = np.ones(px.shape[:2]), ("clip",) * len(frame)
+    return AnnotatedFrames("op14", names, frame, person_id, px, seen, rate_hz=24.0, has_identities=True)
 
 
 def test_a_person_lost_twice_is_one_and_the_table_of_people_says_so_and_overrules_it() -> None:
@@ -110,7 +104,8 @@ def test_rows_that_show_nobody_are_joined_with_the_others_and_never_two_of_one_f
 
 
 def test_the_row_of_a_break_joins_it() -> None:
-    own = together(rows(0, 40, 0), rows(45, 90, 2, x_px=150.0))
-    (one,) = find_breaks(own["frame"], own["person_id"], own["px"], np.ones(own["px"].shape[:2]), rate_hz=24.0)
-    assert set(decide("clip", own["frame"], own["person_id"], [one.joined("clip")])) == {0}
-    assert replace(one, is_clear=True).joined("clip") == Decision.from_words("clip,45,90,2,0")
+    people = rows(0, 40, 0), rows(45, 90, 2, x_px=150.0)
+    (asked,) = breaks(*people)
+    frame, person_id, _ = together(*people).values()
+    assert set(decide("clip", frame, person_id, [asked.joined("clip")])) == {0}
+    assert replace(asked, is_clear=True).joined("clip") == Decision.from_words("clip,45,90,2,0")

@@ -11,7 +11,7 @@ import pytest
 from pasdedeux.people.identity import FollowedRows, body_size_px, follow_people, identity_switches
 from pasdedeux.people.identity_kernels import match_costs, predict_joints, update_joints
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
-from tests.builders.filmed_people import Detections, film
+from tests.builders.filmed_people import Detections, film, joined
 from tests.builders.walkers import walk
 
 
@@ -99,14 +99,9 @@ def test_a_person_who_is_back_after_too_long_is_a_new_one() -> None:
 def test_a_doubled_person_is_merged_into_one() -> None:
     seen = film(np.random.default_rng(10), crossing(), yaw_rad=0.2)
     doubled = np.flatnonzero((seen.true_id == 0) & (seen.frame > 20) & (seen.frame < 26))
-    rng = np.random.default_rng(11)
-    both = Detections(
-        np.concatenate([seen.frame, seen.frame[doubled]]),
-        np.concatenate([seen.true_id, seen.true_id[doubled]]),
-        np.concatenate([seen.keypoints_px, seen.keypoints_px[doubled] + rng.normal(0, 3.0, (len(doubled), 14, 2))]),
-        np.concatenate([seen.confidence, seen.confidence[doubled]]),
-        seen.rate_hz,
-    )
+    noise_px = np.random.default_rng(11).normal(0, 3.0, (len(doubled), 14, 2))
+    second = seen.rows(doubled)
+    both = joined(seen, replace(second, keypoints_px=second.keypoints_px + noise_px))
     found = follow(both)
     assert found.num_merged == len(doubled)
     assert switches(both, found) == 0
@@ -120,12 +115,8 @@ def test_short_ghosts_and_scraps_are_dropped() -> None:
     ghost = seen.rows(np.flatnonzero(seen.true_id == 0)[30:34])
     ghost = replace(ghost, keypoints_px=ghost.keypoints_px + np.array([700.0, -300.0]), true_id=np.full(4, 9))
     scrap = seen.rows(np.flatnonzero(seen.true_id == 0)[50:60])
-    scrap_confidence = scrap.confidence.copy()
-    scrap_confidence[:, 2:] = 0.0
-    scrap = replace(scrap, confidence=scrap_confidence, true_id=np.full(10, 8))
-    names = ("frame", "true_id", "keypoints_px", "confidence")
-    joined = [np.concatenate([getattr(one, name) for one in (seen, ghost, scrap)]) for name in names]
-    everyone = Detections(*joined, rate_hz=seen.rate_hz)
+    scrap = replace(scrap, confidence=scrap.confidence * (np.arange(14) < 2), true_id=np.full(10, 8))
+    everyone = joined(seen, ghost, scrap)
     found = follow(everyone)
     assert (found.track_id[everyone.true_id >= 8] == -1).all()
     assert found.num_ghosts == 14

@@ -15,14 +15,14 @@ from pasdedeux.people.resolution import PeopleSettings, ResolvedPeople, resolve_
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.crowds import duet_couple
-from tests.builders.filmed_people import Detections, film
+from tests.builders.filmed_people import Detections, film, joined
 from tests.builders.walkers import walk
 
 
 def rows_of(seen: Detections, *, has_identities: bool = False) -> AnnotatedFrames:
     """Return detections as a source lists them: numbered from 0 in every frame, or as the people they are."""
     order = np.argsort(seen.frame, kind="stable")
-    place = np.concatenate([np.arange(np.count_nonzero(seen.frame == one)) for one in np.unique(seen.frame)])
+    place = np.concatenate([np.arange(count) for count in np.unique(seen.frame, return_counts=True)[1]])
     return AnnotatedFrames(
         layout="op14",
         sequence_id=("video",) * len(order),
@@ -140,7 +140,7 @@ def test_faults_are_put_right_in_the_keypoints_that_move_with_the_joints() -> No
     op14 = layout.derive("op14", resolved.frames.keypoints_px, resolved.frames.confidence)
     np.testing.assert_allclose(resolved.op14.positions, op14.positions)
     left = resolve_people(replace(right, keypoints_px=wrong), PeopleSettings(has_repair=False))
-    np.testing.assert_array_equal(left.frames.keypoints_px, replace(right, keypoints_px=wrong).keypoints_px)
+    np.testing.assert_array_equal(left.frames.keypoints_px, wrong)
 
 
 def test_single_images_are_not_followed_and_paired_one_by_one() -> None:
@@ -184,14 +184,8 @@ def test_a_video_full_of_false_detections_is_a_video() -> None:
     false = np.repeat(np.unique(seen.frame), 4)
     at = rng.integers(len(seen.frame), size=len(false))
     spread = seen.keypoints_px[at] * rng.uniform(0.3, 0.9, (len(at), 1, 1)) + rng.uniform(0, 1500, (len(at), 1, 2))
-    full = replace(
-        seen,
-        frame=np.concatenate([seen.frame, false]),
-        true_id=np.concatenate([seen.true_id, np.full(len(false), 9)]),
-        keypoints_px=np.concatenate([seen.keypoints_px, spread]),
-        confidence=np.concatenate([seen.confidence, seen.confidence[at]]),
-    )
-    resolved = resolve_people(rows_of(full))
+    ghosts = replace(seen.rows(at), frame=false, true_id=np.full(len(false), 9), keypoints_px=spread)
+    resolved = resolve_people(rows_of(joined(seen, ghosts)))
     assert resolved.sequences[0].why_not_followed == ""
     assert resolved.sequences[0].num_ghost_rows > 3 * len(np.unique(false))
 
@@ -205,15 +199,7 @@ def photos(num_images: int) -> AnnotatedFrames:
         part = seen.rows(seen.frame == frame)
         px = part.keypoints_px * rng.uniform(0.4, 1.2) + rng.uniform(0.0, 500.0, 2)
         parts.append(replace(part, frame=np.full(len(part.frame), number), keypoints_px=px))
-    return rows_of(
-        replace(
-            seen,
-            **{
-                name: np.concatenate([getattr(one, name) for one in parts])
-                for name in ("frame", "true_id", "keypoints_px", "confidence")
-            },
-        )
-    )
+    return rows_of(joined(*parts))
 
 
 def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -> None:
@@ -238,10 +224,14 @@ def crowd(*, first: int = 0) -> Detections:
     return seen.rows((seen.true_id != 1) | (seen.frame >= first))
 
 
+def couples_in(resolved: ResolvedPeople) -> list[tuple[int, int]]:
+    return [(pair.first, pair.second) for pair in resolved.sequences[0].pairs]
+
+
 @pytest.mark.parametrize("first", [0, 85])
 def test_partners_are_of_one_size_and_close_also_who_comes_late(first: int) -> None:
     resolved = resolve_people(rows_of(crowd(first=first), has_identities=True))
-    assert [(pair.first, pair.second) for pair in resolved.sequences[0].pairs] == [(0, 1)]
+    assert couples_in(resolved) == [(0, 1)]
     partner = {tuple(pair) for pair in np.stack([resolved.frames.person_id, resolved.partner_id], axis=1).tolist()}
     assert partner == {(0, 1), (1, 0), (2, -1), (3, -1)}
 
@@ -249,10 +239,10 @@ def test_partners_are_of_one_size_and_close_also_who_comes_late(first: int) -> N
 def test_couples_that_are_stated_come_before_what_is_seen() -> None:
     rows = rows_of(crowd(), has_identities=True)
     resolved = resolve_people(rows, PeopleSettings(couples=((3, 0),)))
-    assert (resolved.sequences[0].pairs[0].first, resolved.sequences[0].pairs[0].second) == (0, 3)
+    assert couples_in(resolved)[0] == (0, 3)
     table = b"sequence,first_frame,last_frame,person,is,partner\nvideo,0,119,1,5,2\nvideo,0,119,2,2,\n"
     resolved = resolve_people(rows, decisions=read_decisions(table))
-    assert (resolved.sequences[0].pairs[0].first, resolved.sequences[0].pairs[0].second) == (2, 5)
+    assert couples_in(resolved)[0] == (2, 5)
     with pytest.raises(InputError, match=r"couple \[0, 9\] is never seen together; persons: 0, 1, 2, 3"):
         resolve_people(rows, PeopleSettings(couples=((0, 9),)))
     with pytest.raises(ValueError, match="a person is in two couples"):
@@ -274,11 +264,11 @@ PARTS = {
 }
 
 
-def only(seen: Detections, rows: np.ndarray, joints: frozenset[int]) -> np.ndarray:
-    """Return confidences in which only these joints of these rows are seen."""
+def only(seen: Detections, rows: np.ndarray, joints: frozenset[int]) -> Detections:
+    """Return detections in which only these joints of these rows are seen."""
     confidence = seen.confidence.copy()
     confidence[np.ix_(rows, sorted(EVERYTHING - joints))] = 0.0
-    return confidence
+    return replace(seen, confidence=confidence)
 
 
 @pytest.mark.parametrize(("first", "has_identities"), [(0, False), (0, True), (45, False), (91, True)])
@@ -286,14 +276,8 @@ def only(seen: Detections, rows: np.ndarray, joints: frozenset[int]) -> np.ndarr
 def test_a_person_split_into_two_detections_is_one(parts: str, first: int, has_identities: bool) -> None:
     seen, (some, others) = dance(), PARTS[parts]
     rows = np.flatnonzero((seen.true_id == 0) & (seen.frame >= first) & (seen.frame < first + 30))
-    confidence = np.concatenate([only(seen, rows, others), only(seen, rows, some)[rows]])
-    split = Detections(
-        np.concatenate([seen.frame, seen.frame[rows]]),
-        np.concatenate([seen.true_id, np.full(len(rows), 7)]),
-        np.concatenate([seen.keypoints_px, seen.keypoints_px[rows]]),
-        confidence,
-        seen.rate_hz,
-    )
+    part = replace(only(seen, rows, some).rows(rows), true_id=np.full(len(rows), 7))
+    split = joined(only(seen, rows, others), part)
     resolved = resolve_people(rows_of(split, has_identities=has_identities), PeopleSettings(has_repair=False))
     assert resolved.sequences[0].num_people == 2
     assert resolved.sequences[0].num_merged_rows == len(rows)
@@ -309,10 +293,10 @@ def test_two_people_of_whom_one_was_hidden_are_never_joined(part: str, hidden: r
     again = range(hidden.stop, hidden.stop + 12)
     is_again, is_second = np.isin(seen.frame, again), seen.true_id == 1
     some, others = PARTS[part]
-    confidence = only(seen, np.flatnonzero(is_again & is_second), some)
-    confidence = only(replace(seen, confidence=confidence), np.flatnonzero(is_again & ~is_second), others)
-    there = replace(seen, confidence=confidence).rows(~is_second | ~np.isin(seen.frame, hidden))
-    assert resolve_people(rows_of(there)).sequences[0].num_merged_rows == 0
+    seen = only(seen, np.flatnonzero(is_again & is_second), some)
+    seen = only(seen, np.flatnonzero(is_again & ~is_second), others)
+    seen = seen.rows(~is_second | ~np.isin(seen.frame, hidden))
+    assert resolve_people(rows_of(seen)).sequences[0].num_merged_rows == 0
 
 
 def test_without_a_rate_or_anybody_the_reason_is_named() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,13 +48,17 @@ def test_a_format_keeps_its_former_name(tmp_path: Path) -> None:
     assert AnnotationOptions(id="clip", path=tmp_path, format="mediapipe").format == "points"
 
 
+def frames_of(source: FoundAnnotations) -> list[int]:
+    return sorted(set(source.read().frame.tolist()))
+
+
 def test_cameras_by_the_beginning_of_names_are_sequences_and_none_vanishes(tmp_path: Path) -> None:
     write_frames(tmp_path, "cam1_", 6)
     write_frames(tmp_path, "cam2_", 4)
-    found = found_in(tmp_path)
-    assert [one.parameters.id for one in found] == ["clip.cam1", "clip.cam2"]
-    assert [sorted(set(one.read().frame.tolist())) for one in found] == [list(range(6)), list(range(4))]
-    assert [set(one.read().sequence_id) for one in found] == [{"clip.cam1"}, {"clip.cam2"}]
+    cameras = found_in(tmp_path)
+    assert [camera.parameters.id for camera in cameras] == ["clip.cam1", "clip.cam2"]
+    assert [frames_of(camera) for camera in cameras] == [list(range(6)), list(range(4))]
+    assert [set(camera.read().sequence_id) for camera in cameras] == [{"clip.cam1"}, {"clip.cam2"}]
 
 
 @pytest.mark.parametrize("num_notes", [1, 20])
@@ -62,9 +66,8 @@ def test_texts_beside_files_of_frames_are_notes(tmp_path: Path, num_notes: int) 
     write_frames(tmp_path, count=4)
     for number in range(num_notes):
         (tmp_path / f"note_{number:02d}.txt").write_text(yolo_text(seed=number))
-    (one,) = found_in(tmp_path)
-    assert one.parameters.format == "openpose"
-    assert sorted(set(one.read().frame.tolist())) == list(range(4))
+    (source,) = found_in(tmp_path)
+    assert (source.parameters.format, frames_of(source)) == ("openpose", list(range(4)))
 
 
 @pytest.mark.parametrize("beside", ["classes.txt", "film.json.bak"])
@@ -75,22 +78,20 @@ def test_a_folder_of_yolos_text_files_is_a_camera_for_each_beginning_of_their_na
         for frame in range(6):
             (tmp_path / f"cam{camera}_{frame + 1}.txt").write_text(yolo_text(seed=frame))
     (tmp_path / beside).write_text("person")
-    found = found_in(tmp_path, image_size_px=(640, 480), frame_offset=-1)
-    assert [(one.parameters.id, one.parameters.format) for one in found] == [
-        ("clip.cam1", "yolo"),
-        ("clip.cam2", "yolo"),
+    cameras = found_in(tmp_path, image_size_px=(640, 480), frame_offset=-1)
+    assert [(camera.parameters.id, camera.parameters.format, frames_of(camera)) for camera in cameras] == [
+        (camera, "yolo", list(range(6))) for camera in ("clip.cam1", "clip.cam2")
     ]
-    assert [sorted(set(one.read().frame.tolist())) for one in found] == [list(range(6))] * 2
 
 
 def test_folders_of_a_folder_are_cameras_as_pose2sim_writes_them(tmp_path: Path) -> None:
     for camera, count in (("cam1", 5), ("cam2", 3)):
         write_frames(tmp_path / "pose" / f"{camera}_json", f"{camera}_", count, layout="halpe26")
         write_video(tmp_path / "videos" / f"{camera}.avi", rate_hz=10.0 + count)
-    found = found_in(tmp_path / "pose")
-    assert [one.parameters.id for one in found] == ["clip.cam1", "clip.cam2"]
-    assert [one.read().layout for one in found] == ["halpe26"] * 2
-    assert [one.read().rate_hz for one in found] == pytest.approx([15.0, 13.0])
+    cameras = found_in(tmp_path / "pose")
+    assert [camera.parameters.id for camera in cameras] == ["clip.cam1", "clip.cam2"]
+    assert [camera.read().layout for camera in cameras] == ["halpe26"] * 2
+    assert [camera.read().rate_hz for camera in cameras] == pytest.approx([15.0, 13.0])
 
 
 @pytest.mark.parametrize(
@@ -107,9 +108,9 @@ def test_a_file_for_each_image_is_a_frame_of_one_sequence_even_where_nobody_is_i
     (tmp_path / "img_0007.json").write_text(nobody)
     for frame in (8, 9, 12):
         (tmp_path / f"img_{frame:04d}.json").write_text(image_text(tool, seed=frame))
-    (one,) = found_in(tmp_path)
-    assert (one.parameters.format, one.parameters.id) == ("image_results", "clip")
-    frames = one.read()
+    (source,) = found_in(tmp_path)
+    assert (source.parameters.format, source.parameters.id) == ("image_results", "clip")
+    frames = source.read()
     assert sorted(frames.frame.tolist()) == [8, 8, 9, 9, 12, 12]
     shift = np.tile([[[0.0, 0.0]], [[300.0, 0.0]]], (3, 1, 1))
     expected = np.array([person_px("coco17", seed=frame) for frame in (8, 8, 9, 9, 12, 12)]) + shift
@@ -121,10 +122,8 @@ def test_a_file_for_each_image_is_a_frame_of_one_sequence_even_where_nobody_is_i
 def test_files_of_whole_videos_in_a_folder_are_a_sequence_each(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text(csv_text())
     (tmp_path / "two.json").write_text(coco_text())
-    assert [(one.parameters.id, one.parameters.format) for one in found_in(tmp_path)] == [
-        ("clip.one", "annotation_csv"),
-        ("clip.two", "coco"),
-    ]
+    kinds = {source.parameters.id: source.parameters.format for source in found_in(tmp_path)}
+    assert kinds == {"clip.one": "annotation_csv", "clip.two": "coco"}
 
 
 def test_rate_and_size_come_from_the_option_else_the_file_else_the_video_beside_it(tmp_path: Path) -> None:
@@ -159,17 +158,15 @@ def test_another_rate_of_the_video_beside_is_another_shard(tmp_path: Path) -> No
     assert after.read().rate_hz == pytest.approx(24.0)
 
 
-@pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV", "photos/a.jpg"])
+@pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV", "photos"])
 def test_a_video_and_images_are_answered_with_what_to_run_first(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes(b"\0")
+    (tmp_path / "photos").mkdir()
+    for path in ("walk.mp4", "walk.MOV", "photos/a.jpg"):
+        (tmp_path / path).write_bytes(b"\0")
     with pytest.raises(InputError, match=r"annotated or detected: give key frames \(--keys FILE\), .* or a detector"):
-        found_in(path if path.suffix != ".jpg" else path.parent)
-    if path.suffix != ".jpg":
-        path.unlink()
-        with pytest.raises(InputError, match=rf"film .*{re.escape(path.name)} does not exist$"):
-            found_in(path)
+        found_in(tmp_path / name)
+    with pytest.raises(InputError, match=r"film .*lost\.mp4 does not exist$"):
+        found_in(tmp_path / "lost.mp4")
 
 
 def test_a_cut_off_last_file_costs_its_frame_and_is_said(tmp_path: Path) -> None:
@@ -177,44 +174,47 @@ def test_a_cut_off_last_file_costs_its_frame_and_is_said(tmp_path: Path) -> None
     last = max(folder.iterdir())
     last.write_text(last.read_text()[:50])
     (found,) = found_in(folder)
-    assert sorted(set(found.read().frame.tolist())) == list(range(5))
+    assert frames_of(found) == list(range(5))
     assert f"1 damaged files skipped ({last.name})" in found.in_words()
+
+
+def write_results(path: Path, tables: Sequence[Sequence[np.ndarray]]) -> Path:
+    """Write COCO results of people (frame, person, keypoint, 3)."""
+    items = [
+        {"image_id": frame, "keypoints": table.ravel().tolist()}
+        for frame, people in enumerate(tables)
+        for table in people
+    ]
+    path.write_text(json.dumps(items))
+    return path
 
 
 def test_junk_of_low_confidence_is_nothing_whatever_the_scale_of_the_detector(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for scale in (0.3, 1.0, 5.0):
-        items = []
+        tables = np.zeros((12, 2, 25, 3))
         for frame in range(12):
-            table = np.column_stack([person_px("body25", frame), np.full(25, scale * 0.9)])
-            junk = rng.choice(25, 3, replace=False)
-            table[junk] = np.column_stack([rng.uniform(0, 2000, (3, 2)), np.full(3, scale * 0.1)])
-            ghost = np.zeros((25, 3))
-            ghost[:3] = np.column_stack([rng.uniform(0, 2000, (3, 2)), np.full(3, scale * 0.1)])
-            items += [{"image_id": frame, "keypoints": one.reshape(-1).tolist()} for one in (table, ghost)]
-        path = tmp_path / f"junk{scale:g}.json"
-        path.write_text(json.dumps(items))
+            person, ghost = tables[frame]
+            person[:] = np.column_stack([person_px("body25", frame), np.full(25, scale * 0.9)])
+            for row, junk in ((person, rng.choice(25, 3, replace=False)), (ghost, range(3))):
+                row[junk] = np.column_stack([rng.uniform(0, 2000, (3, 2)), np.full(3, scale * 0.1)])
+        path = write_results(tmp_path / f"junk{scale:g}.json", tables)
         frames = found_in(path)[0].read()
         assert frames.num_rows == 12
         assert (frames.confidence > 0).sum() == 12 * 22
         assert np.nanmax(frames.keypoints_px) < 400
-        if scale == 1.0:
-            assert found_in(path, min_confidence=0.0)[0].read().num_rows == 24
+        assert found_in(path, min_confidence=0.0)[0].read().num_rows == 24
 
 
 @pytest.mark.parametrize(
-    ("best", "told", "num_left"),
+    ("best", "stated", "num_left"),
     [(0.3, None, 9), (0.3, 0.05, 21), (0.3, 0.25, 5), (0.03, None, 21), (5.0, None, 21), (5.0, 0.5, 23)],
 )
-def test_a_bad_source_is_no_scale_and_an_own_minimum_counts_on_the_own_values(
-    tmp_path: Path, best: float, told: float | None, num_left: int
+def test_a_bad_source_is_no_scale_and_a_stated_minimum_counts_on_the_values_of_the_file(
+    tmp_path: Path, best: float, stated: float | None, num_left: int
 ) -> None:
     confidence = np.linspace(0.0, best, 26)[1:]
-    items = [
-        {"image_id": frame, "keypoints": np.column_stack([person_px("body25", frame), confidence]).ravel().tolist()}
-        for frame in range(12)
-    ]
-    path = tmp_path / "bad.json"
-    path.write_text(json.dumps(items))
-    frames = found_in(path, **({} if told is None else {"min_confidence": told}))[0].read()
+    people = [[np.column_stack([person_px("body25", frame), confidence])] for frame in range(12)]
+    options = {} if stated is None else {"min_confidence": stated}
+    frames = found_in(write_results(tmp_path / "bad.json", people), **options)[0].read()
     assert (frames.confidence > 0).sum() == 12 * num_left

@@ -20,6 +20,8 @@ from tasks.ingest.takes.resolution import find_companion
 from tests.builders.source_samples import AMC, ASF
 
 UNIT_M = 0.0254 / 0.45
+THIGH = np.array([0.34202, -0.939693, 0.0]) / np.linalg.norm([0.34202, -0.939693, 0.0])
+"""Where the bones of the leg point in `ASF`."""
 
 
 def world(text: str = AMC) -> tuple[dict[str, int], np.ndarray]:
@@ -38,12 +40,10 @@ def test_units_bones_and_ends_are_read() -> None:
 
 def test_with_all_angles_zero_bones_lie_along_their_directions() -> None:
     index, positions = world()
-    direction = np.array([0.34202, -0.939693, 0.0])
-    direction /= np.linalg.norm(direction)
     np.testing.assert_allclose(positions[0, index["root"]], (1, 2, 3))
     np.testing.assert_allclose(positions[0, index["lowerback_end"]], (1, 4, 3))
     np.testing.assert_allclose(positions[0, index["lfemur"]], (2.5, 2, 3))
-    np.testing.assert_allclose(positions[0, index["ltibia"]], np.array([2.5, 2, 3]) + 7 * direction)
+    np.testing.assert_allclose(positions[0, index["ltibia"]], np.array([2.5, 2, 3]) + 7 * THIGH)
 
 
 def test_a_bone_turns_by_c_m_c_inverse_in_its_parent() -> None:
@@ -52,11 +52,9 @@ def test_a_bone_turns_by_c_m_c_inverse_in_its_parent() -> None:
     c = Rotation.from_euler("z", 20, degrees=True)
     femur = c * Rotation.from_euler("x", -90, degrees=True) * c.inv()
     tibia = c * Rotation.from_euler("x", 45, degrees=True) * c.inv()
-    direction = np.array([0.34202, -0.939693, 0.0])
-    direction /= np.linalg.norm(direction)
     hip = np.array([1, 2, 3.5]) + root.apply([1.5, 0, 0])
-    knee = hip + (root * femur).apply(7 * direction)
-    ankle = knee + (root * femur * tibia).apply(7.2 * direction)
+    knee = hip + (root * femur).apply(7 * THIGH)
+    ankle = knee + (root * femur * tibia).apply(7.2 * THIGH)
     np.testing.assert_allclose(positions[1, index["lfemur"]], hip, atol=1e-9)
     np.testing.assert_allclose(positions[1, index["ltibia"]], knee, atol=1e-9)
     np.testing.assert_allclose(positions[1, index["ltibia_end"]], ankle, atol=1e-9)
@@ -188,9 +186,8 @@ def test_a_walking_person_walks_forward_on_the_floor_with_the_left_side_on_the_l
     feet = poses[:, BODY22.indices(["left_toe", "right_toe"]), 1].min(axis=1)
     assert 0.0 < np.percentile(feet, 5) < 0.06
     travel = poses[-1, 0] - poses[0, 0]
-    facing = np.cross(poses[:, BODY22.index("left_hip")] - poses[:, BODY22.index("right_hip")], [0.0, 1.0, 0.0]).mean(
-        axis=0
-    )
+    left, right = (poses[:, BODY22.index(f"{side}_hip")] for side in ("left", "right"))
+    facing = np.cross(left - right, [0.0, 1.0, 0.0]).mean(axis=0)
     assert np.dot(travel, facing) / np.linalg.norm(travel) / np.linalg.norm(facing) > 0.95
     toes = poses[:, BODY22.index("left_toe")] - poses[:, BODY22.index("left_ankle")]
     assert np.dot(toes.mean(axis=0), facing) > 0

@@ -35,8 +35,8 @@ def differences(draft: Draft, motion: SourceMotion, old_names: dict[str, str]) -
     """Return the parts of a draft that the layout of the motion has other joints for."""
     known = find_layout(motion.skeleton, motion.rest_offsets)
     expected = {part: entry for part, entry in known.parts.items() if isinstance(entry, str)}
-    told = {part.part: old_names[part.joint] for part in draft.parts if part.joint}
-    return {part: joint for part, joint in told.items() if joint != expected.get(part, joint)}
+    drafted = {part.part: old_names[part.joint] for part in draft.parts if part.joint}
+    return {part: joint for part, joint in drafted.items() if joint != expected.get(part, joint)}
 
 
 @given(st.sampled_from(RIGS), st.integers(0, 10**6))
@@ -89,8 +89,8 @@ def test_limbs_are_found_in_bodies_of_other_proportions_with_fingers_twists_hair
     motion = with_chain(motion, names["right_wrist"], bones((-0.1, 0.0, 0.0), (0.0, 0.5, 0.4)))
     motion = with_chain(motion, names.get("head", names.get("neck", "")), bones((0, 0.1, -0.1), (0, -0.15, 0)))
     odd, old_names = renamed(motion, seed)
-    found = {part.part: old_names[part.joint] for part in draft_motion(odd).parts if part.joint}
-    assert {part: found.get(part) for part in NEEDED} == {part: names[part] for part in NEEDED}
+    drafted = {part.part: old_names[part.joint] for part in draft_motion(odd).parts if part.joint}
+    assert {part: drafted.get(part) for part in NEEDED} == {part: names[part] for part in NEEDED}
 
 
 @pytest.mark.parametrize("rig", [rig for rig in RIGS if rig.pose != "random"], ids=lambda rig: rig.name)
@@ -131,8 +131,7 @@ def test_a_draft_written_into_a_study_is_the_same_layout_and_says_what_is_a_gues
 
 
 def test_sides_that_names_do_not_tell_are_told_by_knees_and_toes_and_doubted() -> None:
-    rig = next(rig for rig in RIGS if rig.name == "xsens")
-    motion = rig.source()
+    motion = next(rig for rig in RIGS if rig.name == "xsens").source()
     names = [name.replace("Left", "A_").replace("Right", "B_") for name in motion.skeleton.joint_names]
     draft = draft_motion(replace(motion, skeleton=replace(motion.skeleton, joint_names=tuple(names))))
     knee = next(part for part in draft.parts if part.part == "left_knee")
@@ -161,16 +160,13 @@ def test_any_tree_is_drafted_or_missing(seed: int, num_joints: int, is_chain: bo
 @pytest.mark.parametrize("prefixes", [("A:", "B:"), ("P1_", "P2_"), None])
 @pytest.mark.parametrize("rig", RIGS[::6], ids=lambda rig: rig.name)
 def test_two_people_in_one_tree_are_not_mixed(rig: Rig, prefixes: tuple[str, str] | None) -> None:
-    motion, count = rig.source(), len(rig.source().skeleton.joint_names)
-    skeleton = motion.skeleton
-    first, second = prefixes or ("", "")
-    named = [f"{prefix}{name}" for prefix in (first, second) for name in skeleton.joint_names]
-    names = ("world", *(named if prefixes else (f"q{at}z" for at in np.random.default_rng(0).permutation(2 * count))))
-    parents = (-1, *(at + 1 if at >= 0 else 0 for at in skeleton.parents))
-    parents += tuple(at + 1 + count if at >= 0 else 0 for at in skeleton.parents)
-    apart = np.array([0.0, 1.0, 1.0]) / rig.metres_per_unit
+    motion = rig.source()
+    skeleton, count = motion.skeleton, motion.skeleton.num_joints
+    named = [f"{prefix}{name}" for prefix in prefixes or () for name in skeleton.joint_names]
+    names = ("world", *(named or (f"q{at}z" for at in np.random.default_rng(0).permutation(2 * count))))
+    parents = (-1, *(at + first if at >= 0 else 0 for first in (1, 1 + count) for at in skeleton.parents))
     offsets = np.concatenate([np.zeros((1, 3)), motion.rest_offsets, motion.rest_offsets])
-    offsets[1 + count] = apart
+    offsets[1 + count] = np.array([0.0, 1.0, 1.0]) / rig.metres_per_unit
     still = np.tile([0.0, 0.0, 0.0, 1.0], (motion.num_frames, 1, 1))
     local = np.concatenate([still, motion.local_unitquat, motion.local_unitquat], axis=1)
     both = SourceMotion(Skeleton("bvh", names, parents), offsets, motion.root_translation, local)
@@ -197,5 +193,5 @@ def test_the_end_of_a_hand_is_no_wrist_whatever_the_other_joints_are_called() ->
         assert hand
         text = text.replace(hand[0], f"{hand[0]} End Site {{ OFFSET {17 if side == 'L' else -17} 0 0 }} ")
     draft = draft_motion(read_bvh(text.encode()))
-    told = {part.part: part.joint for part in draft.parts}
-    assert (told["left_wrist"], told["right_wrist"]) == ("HandL", "HandR")
+    joints = {part.part: part.joint for part in draft.parts}
+    assert (joints["left_wrist"], joints["right_wrist"]) == ("HandL", "HandR")

@@ -57,12 +57,13 @@ def walk(folder: Path) -> OwnSkeleton:
     return OwnSkeleton(motion, body_map(LAYOUTS["cmu_asf"], motion.skeleton, motion.rest_offsets_m))
 
 
-def same(one: Motion, other: Motion, *, metres: float, degrees: float) -> None:
-    assert one.skeleton.joint_names[: other.skeleton.num_joints] == other.skeleton.joint_names
-    (places, turns), (its_places, its_turns) = one.world(), other.world()
-    joints = other.skeleton.num_joints
-    np.testing.assert_allclose(places[:, :joints], its_places, atol=metres)
-    assert np.rad2deg(angle_between(turns[:, :joints], its_turns).max()) < degrees
+def assert_same(found: Motion, expected: Motion, *, metres: float, degrees: float) -> None:
+    """Compare the joints that are expected; more may be found behind them."""
+    joints = expected.skeleton.num_joints
+    assert found.skeleton.joint_names[:joints] == expected.skeleton.joint_names
+    (places, turns), (expected_places, expected_turns) = found.world(), expected.world()
+    np.testing.assert_allclose(places[:, :joints], expected_places, atol=metres)
+    assert np.rad2deg(angle_between(turns[:, :joints], expected_turns).max()) < degrees
 
 
 def scaled(own: OwnSkeleton, bone_scale: np.ndarray) -> np.ndarray:
@@ -75,9 +76,9 @@ def scaled(own: OwnSkeleton, bone_scale: np.ndarray) -> np.ndarray:
 def test_at_scale_one_the_source_comes_back_from_its_own_body22(tmp_path: Path) -> None:
     for own in (rig(), walk(tmp_path)):
         ones = np.ones(BODY22.num_joints)
-        same(own.posed(own.body.of(own.motion), ones), own.motion, metres=1e-9, degrees=1e-4)
+        assert_same(own.posed(own.body.of(own.motion), ones), own.motion, metres=1e-9, degrees=1e-4)
         # A variant's bones are constant, while the neck of ASF spans two joints that move.
-        same(own.retargeted(scaled(own, ones), ones).motion, own.motion, metres=1e-9, degrees=1e-4)
+        assert_same(own.retargeted(scaled(own, ones), ones).motion, own.motion, metres=1e-9, degrees=1e-4)
 
 
 @settings(max_examples=25)
@@ -100,20 +101,15 @@ def test_bones_have_the_lengths_asked_for_and_hands_and_feet_lie_where_they_are_
     worn = own.retargeted(wanted, scales)
     body = worn.body.of(worn.motion)
     rigid = [joint for joint in range(1, BODY22.num_joints) if BODY22.joint_names[joint] != "head"]
-    np.testing.assert_allclose(
-        bone_lengths(BODY22, body)[:, rigid],
-        np.broadcast_to(bone_lengths(BODY22, wanted)[0, rigid], (12, 20)),
-        rtol=1e-3,
-    )
+    lengths, expected = (bone_lengths(BODY22, places)[:, rigid] for places in (body, wanted[:1]))
+    np.testing.assert_allclose(lengths, np.broadcast_to(expected, lengths.shape), rtol=1e-3)
     assert np.linalg.norm(body - wanted, axis=-1)[:, EXTREMITIES].max() < 5e-3
     thumb, crown = own.motion.skeleton.indices(["LeftHandThumb1", "Head_end"])
     np.testing.assert_allclose(
         worn.motion.local_unitquat[:, [thumb, crown]], own.motion.local_unitquat[:, [thumb, crown]], atol=1e-9
     )
-    ratio = (
-        np.linalg.norm(worn.motion.rest_offsets_m, axis=-1)[1:] / np.linalg.norm(own.motion.rest_offsets_m, axis=-1)[1:]
-    )
-    assert ratio[thumb - 1] == pytest.approx(scales[BODY22.index("left_wrist")], rel=1e-3)
+    after, before = (np.linalg.norm(skeleton.motion.rest_offsets_m[thumb]) for skeleton in (worn, own))
+    assert after / before == pytest.approx(scales[BODY22.index("left_wrist")], rel=1e-3)
 
 
 def test_a_standing_rest_pose_leaves_joints_and_global_rotations_where_they_are(tmp_path: Path) -> None:
@@ -146,11 +142,11 @@ def test_every_joint_that_is_drawn_has_a_length(tmp_path: Path) -> None:
         OwnSkeleton(figure_motion(), body_map(LAYOUTS["body22"], BODY22, figure_motion().rest_offsets_m)),
     ):
         motion = with_end_sites(own).motion
-        same(motion, own.motion, metres=0.0, degrees=1e-5)
+        assert_same(motion, own.motion, metres=0.0, degrees=1e-5)
         for joint, name in enumerate(motion.skeleton.joint_names):
             below = list(motion.skeleton.children(joint))
             if below:
-                ends = [one for one in below if motion.skeleton.joint_names[one] == f"{name}_end"]
+                ends = [child for child in below if motion.skeleton.joint_names[child] == f"{name}_end"]
                 assert np.linalg.norm(motion.rest_offsets_m[ends or below].mean(axis=0)) > 1e-3, name
             else:
                 assert name.endswith("_end")
@@ -179,10 +175,9 @@ def test_weights_derive_body22_of_real_files_as_their_layouts_do(data_dir: Path)
         layout = find_layout(motion.skeleton, motion.rest_offsets_m)
         part = first_frames(motion, 60)
         own = OwnSkeleton(part, body_map(layout, part.skeleton, part.rest_offsets_m))
-        np.testing.assert_allclose(
-            own.body.of(part), derive_working_poses(part, layout).body22_m, atol=1e-9, err_msg=name
-        )
-        same(own.posed(own.body.of(part), np.ones(BODY22.num_joints)), part, metres=1e-8, degrees=1e-4)
+        wanted = derive_working_poses(part, layout).body22_m
+        np.testing.assert_allclose(own.body.of(part), wanted, atol=1e-9, err_msg=name)
+        assert_same(own.posed(own.body.of(part), np.ones(BODY22.num_joints)), part, metres=1e-8, degrees=1e-4)
 
 
 def test_straight_legs_stay_straight_when_a_variant_bends_its_back() -> None:

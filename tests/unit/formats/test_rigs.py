@@ -17,6 +17,7 @@ from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.layouts import LAYOUTS, find_layout, fit_layout, resolve_layout
 from tests.builders.rigs import RIGS, Rig, truth
 
+XSENS = next(rig for rig in RIGS if rig.name == "xsens")
 EXACT_CM = 1e-6
 TOLERANCE_CM = {"pelvis": 4.0, "neck": 2.0, "head": 3.5, "toe": 1.0, "collar": 10.0}
 """A joint that a file has is exact.  A pelvis between hips lies 2.5 cm below the joint that rigs have, Daz's hip 3.4 cm
@@ -91,22 +92,21 @@ def test_spelling_changes_neither_layout_nor_joints(rig: Rig) -> None:
     motion = rig.source()
     plain = find_layout(motion.skeleton, motion.rest_offsets)
     for spelling, respelled in SPELLINGS.items():
-        other = renamed(motion, [respelled(name) for name in motion.skeleton.joint_names])
-        found = find_layout(other.skeleton, other.rest_offsets)
+        changed = renamed(motion, [respelled(name) for name in motion.skeleton.joint_names])
+        found = find_layout(changed.skeleton, changed.rest_offsets)
         assert found is not None, spelling
         assert (found.name, found.derived) == (plain.name, plain.derived), spelling
-        to_plain = dict(zip(other.skeleton.joint_names, motion.skeleton.joint_names, strict=True))
+        to_plain = dict(zip(changed.skeleton.joint_names, motion.skeleton.joint_names, strict=True))
         ours, theirs = found.joint_map("body22"), plain.joint_map("body22")
         for joint in BODY22.joint_names:
             weights = {to_plain.get(name, name): weight for name, weight in ours.weights(joint).items()}
             assert weights == theirs.weights(joint), (spelling, joint)
         # A layout that is named is the same one, under whatever spelling.
-        assert resolve_layout(plain.name, other.skeleton, other.rest_offsets) == found, spelling
+        assert resolve_layout(plain.name, changed.skeleton, changed.rest_offsets) == found, spelling
 
 
 def test_what_a_layout_needs_is_said_by_its_own_names() -> None:
-    rig = next(rig for rig in RIGS if rig.name == "xsens")
-    motion = rig.source()
+    motion = XSENS.source()
     without = renamed(motion, [name.replace("LeftKnee", "thing") for name in motion.skeleton.joint_names])
     assert find_layout(without.skeleton, without.rest_offsets) is None
     with pytest.raises(InputError, match=r"layout 'xsens' needs LeftKnee; joints: Hips, "):
@@ -118,17 +118,16 @@ def test_what_a_layout_needs_is_said_by_its_own_names() -> None:
 
 
 def test_parts_of_a_mapping_are_enough_and_the_rest_is_derived() -> None:
-    rig = next(rig for rig in RIGS if rig.name == "xsens")
-    motion = rig.source()
-    names = {part: f"j{at}" for at, part in enumerate(rig.names)}
-    other_name = dict(zip(rig.names.values(), names.values(), strict=True))
-    odd = renamed(motion, [other_name[name] for name in motion.skeleton.joint_names])
+    motion = XSENS.source()
+    names = {part: f"j{at}" for at, part in enumerate(XSENS.names)}
+    new_name = dict(zip(XSENS.names.values(), names.values(), strict=True))
+    odd = renamed(motion, [new_name[name] for name in motion.skeleton.joint_names])
     parts = {part: names[part] for part in names if not part.startswith("spine") and part != "head"}
     parts["skull"] = names["head"]
     found = resolve_layout("mine", odd.skeleton, odd.rest_offsets, {"mine": {"parts": parts}})
     known = find_layout(motion.skeleton, motion.rest_offsets)
     assert found.derived == known.derived
-    placed, plain = (one.to_motion(metres_per_unit=rig.metres_per_unit, rate_hz=30.0) for one in (odd, motion))
+    placed, plain = (file.to_motion(metres_per_unit=XSENS.metres_per_unit, rate_hz=30.0) for file in (odd, motion))
     expected = vars(derive_working_poses(plain, known))
     for name, positions in vars(derive_working_poses(placed, found)).items():
         np.testing.assert_array_equal(positions, expected[name])

@@ -15,32 +15,31 @@ from pasdedeux.formats.smpl import read_smpl
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
 from tests.builders.body_models import amass, body_model, npz
+from tests.builders.ingest_runs import planned, run
 from tests.builders.source_samples import bvh_text
 from tests.builders.storage_rows import put, random_columns
 
 KIND = "SMPL-H"
 NUM_FRAMES = 12
+Taken = tuple[Store, ArtifactRef, Path, dict[str, np.ndarray]]
 
 
 def ingested(folder: Path, take: dict[str, Any]) -> tuple[Store, ArtifactRef]:
     store = Store(folder / "store")
-    section = {"rate_hz": 30.0, "takes": [{"id": "hug", "floor": "keep", **take}]}
-    (shard,) = STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section))[:1]
-    return store, STAGE.run_shard(shard, store)
+    (made,) = run(store, planned(rate_hz=30.0, takes=[{"id": "hug", "floor": "keep", **take}])[:1]).values()
+    return store, made.ref
 
 
 @pytest.fixture(scope="module")
-def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, ArtifactRef, Path, dict[str, np.ndarray]]:
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Taken:
     """Return a store with a take of a file of two people whose world is Z up, the body model, and its arrays."""
     folder = tmp_path_factory.mktemp("interhuman")
     arrays: dict[str, Any] = {"mocap_framerate": np.array(30.0)}
     for person, shift in ((1, 0.0), (2, 0.8)):
-        one = dict(np.load(io.BytesIO(amass(KIND, seed=person))))
-        arrays |= {f"person{person}_{name}": one[name] for name in ("poses", "trans", "betas")}
-        arrays[f"person{person}_trans"] = one["trans"] + [shift, 0.0, 0.0]
+        motion = dict(np.load(io.BytesIO(amass(KIND, seed=person))))
+        motion["trans"] += [shift, 0.0, 0.0]
+        arrays |= {f"person{person}_{name}": motion[name] for name in ("poses", "trans", "betas")}
     (folder / "hug.npz").write_bytes(npz(**arrays))
     (folder / "body_model.npz").write_bytes(body_model(KIND))
     path = str(folder / "hug.npz")
@@ -56,9 +55,7 @@ def body22_of(motion: Motion) -> np.ndarray:
     return motion.world()[0][:, motion.skeleton.indices(BODY22.joint_names)]
 
 
-def test_a_take_gives_back_the_parameters_that_it_came_with(
-    taken: tuple[Store, ArtifactRef, Path, dict[str, np.ndarray]], tmp_path: Path
-) -> None:
+def test_a_take_gives_back_the_parameters_that_it_came_with(taken: Taken, tmp_path: Path) -> None:
     store, ref, model, arrays = taken
     takes = store.read(ref, "takes")
     assert takes["up_axis"].tolist() == ["z", "z"]
@@ -76,9 +73,7 @@ def test_a_take_gives_back_the_parameters_that_it_came_with(
     assert "axes: right-handed, Z up; joints lie within 0.0 mm (95 %)" in said
 
 
-def test_a_variant_leaves_as_parameters_with_the_misfit_of_its_betas(
-    taken: tuple[Store, ArtifactRef, Path, dict[str, np.ndarray]], tmp_path: Path
-) -> None:
+def test_a_variant_leaves_as_parameters_with_the_misfit_of_its_betas(taken: Taken, tmp_path: Path) -> None:
     store, ref, model, _ = taken
     poses = store.read(ref, "poses")
     body = np.swapaxes(poses["body22_m"].astype(float).reshape(2, -1, 22, 3), 0, 1)
@@ -125,11 +120,12 @@ def test_a_take_of_other_files_leaves_as_parameters_too(tmp_path: Path) -> None:
     away = np.linalg.norm(found - wanted, axis=-1)
     np.testing.assert_allclose(np.load(path)["joint_misfit_m"], away, atol=1e-6)
     # Bones of the made-up model lie otherwise at rest, and its betas do not give every body; directions are met.
-    both = [bone_directions(BODY22, one)[:, BODY22.indices(["left_elbow", "left_knee"])] for one in (found, wanted)]
-    np.testing.assert_allclose(*both, atol=1e-4)
+    bones = BODY22.indices(["left_elbow", "left_knee"])
+    directions, expected = (bone_directions(BODY22, places)[:, bones] for places in (found, wanted))
+    np.testing.assert_allclose(directions, expected, atol=1e-4)
 
 
-def test_what_is_missing_is_said(taken: tuple[Store, ArtifactRef, Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
+def test_what_is_missing_is_said(taken: Taken, tmp_path: Path) -> None:
     store, ref, model, arrays = taken
     with pytest.raises(InputError, match="name it with --body-model"):
         export_reference(store, f"poses@{ref.key}", "smpl", tmp_path)

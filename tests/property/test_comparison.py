@@ -73,12 +73,10 @@ def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
         value = 4.0
         allowed = TOLERANCES[column.unit] + RELATIVE_TOLERANCE * value
         for columns, put in ((one, value), (other, value + factor * allowed)):
-            if isinstance(columns[column.name], list):
-                columns[column.name][row] = put
+            if column.shape:
+                columns[column.name][row].flat[-1] = put
             else:
-                columns[column.name][row].flat[-1] = put if column.shape else 0
-                if not column.shape:
-                    columns[column.name][row] = put
+                columns[column.name][row] = put
         is_rounding = factor < 1
     elif column.shape:
         other[column.name][row].flat[-1] = one[column.name][row].flat[-1] + 1

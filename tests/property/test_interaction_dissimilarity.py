@@ -45,16 +45,6 @@ def turn(angle: float) -> np.ndarray:
 
 
 @settings(max_examples=25, deadline=None)
-@given(seeds, st.floats(-np.pi, np.pi), st.floats(-5, 5))
-def test_planar_dissimilarity_ignores_rigid_motion(seed: int, angle: float, shift: float) -> None:
-    _, first, second = plane_points(seed)
-    expected = interaction_dissimilarity(first, second)
-    moved = first @ turn(angle).T + [shift, -shift]
-    assert interaction_dissimilarity(moved, second) == pytest.approx(expected, rel=1e-6)
-    assert interaction_dissimilarity(second, moved) == pytest.approx(expected, rel=1e-6)
-
-
-@settings(max_examples=25, deadline=None)
 @given(seeds)
 def test_planar_dissimilarity_sees_reflection_and_scale(seed: int) -> None:
     _, first, _ = plane_points(seed)
@@ -86,12 +76,12 @@ def hidden(rng: np.random.Generator, points: np.ndarray, share: float) -> np.nda
 def plain_masked(first: np.ndarray, second: np.ndarray) -> float:
     """Return d_I over the points both show, edge by edge: the graph of each is that over its own points."""
     both = [k for k in range(len(first)) if np.isfinite(first[k]).all() and np.isfinite(second[k]).all()]
-    align = align_plane if first.shape[1] == 2 else lambda one, other: align_rigid(one, other).apply(one)
+    align = align_plane if first.shape[1] == 2 else lambda moved, fixed: align_rigid(moved, fixed).apply(moved)
     difference = dict(zip(both, align(first[both], second[both]) - second[both], strict=True))
     total = 0.0
     for points in (first, second):
-        own = np.flatnonzero(np.isfinite(points).all(axis=1))
-        edges = [(own[i], own[j]) for i, j in delaunay_edges(points[own])]
+        seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+        edges = [(seen[i], seen[j]) for i, j in delaunay_edges(points[seen])]
         shared = [edge for edge in edges if edge[0] in difference and edge[1] in difference]
         weights = [1.0 / max(0.05, float(np.linalg.norm(points[j] - points[i]))) for i, j in shared]
         lengths = [float(np.linalg.norm(difference[j] - difference[i])) for i, j in shared]

@@ -38,26 +38,10 @@ def planned_take(number: int, drawn: Drawn) -> Manifest:
     """Return a take as planning sees it, from no store."""
     name = f"take-{number}"
     _, facts = take_rows(name, 2, drawn.num_frames, is_held_out=drawn.is_held_out)
-    told = {"duet": {"name": drawn.interaction}} if drawn.interaction else {}
+    parameters = {"duet": {"name": drawn.interaction}} if drawn.interaction else {}
     ref = ArtifactRef("ingest", f"{number:064x}", "0" * 64)
-    return Manifest(
-        ref,
-        name,
-        name,
-        1,
-        told,
-        0,
-        (),
-        (),
-        {},
-        {},
-        facts,
-        (),
-        schema_version=1,
-        code_version="",
-        source_digest="",
-        package_versions={},
-    )
+    versions = {"schema_version": 1, "code_version": "", "source_digest": "", "package_versions": {}}
+    return Manifest(ref, name, name, 1, parameters, 0, (), (), {}, {}, facts, (), **versions)
 
 
 @given(takes=TAKES, window=st.integers(1, 4), by=st.sampled_from(["take", "interaction"]), seed=st.integers(0, 3))
@@ -133,8 +117,9 @@ def test_the_nth_window_holds_the_frames_of_its_take_variant_and_contacts(
             np.testing.assert_allclose(item["source"], pair, atol=1e-6)
             np.testing.assert_allclose(item["positions"], pair + aside(index), atol=1e-6)
             wanted = np.zeros((window, 22, 22))
-            own = rows[f"take-{number}"]
-            for frame, person, bone, weight in zip(own.frame, own.person, own.bone, own.weight, strict=True):
+            contacts = rows[f"take-{number}"]
+            columns = (contacts.frame, contacts.person, contacts.bone, contacts.weight)
+            for frame, person, bone, weight in zip(*columns, strict=True):
                 if frames.start <= frame < frames.stop and set(person) == {0, 1}:
                     a, b = bone[np.argsort(person)]
                     wanted[frame - start, a, b] = max(wanted[frame - start, a, b], weight)
@@ -154,13 +139,13 @@ def test_a_repetition_never_learns_from_what_it_tests_and_never_tests_what_a_mod
     names = {f"take-{number}" for number, drawn in enumerate(takes) if number in seen and not drawn.is_held_out}
     options = OneTraining.model_construct(shares=shares, seed=0, seen=tuple(names))
     made = [planned_take(number, drawn) for number, drawn in enumerate(takes)]
-    train, test = ({one.name for one in side} for side in split_takes(made, options, np.random.default_rng(seed)))
+    train, test = ({take.name for take in side} for side in split_takes(made, options, np.random.default_rng(seed)))
     held_out = {f"take-{number}" for number, drawn in enumerate(takes) if drawn.is_held_out}
     assert not train & test
     assert not train & held_out
     assert not test & names
-    for kind in {interaction_of(one) for one in made}:
-        performances = {one.name for one in made if interaction_of(one) == kind}
+    for kind in {interaction_of(take) for take in made}:
+        performances = {take.name for take in made if interaction_of(take) == kind}
         num_test = max(round({"80/10/10": 0.1, "50/20/30": 0.3}[shares] * len(performances)), 1)
         unseen, saved = performances - names, performances & held_out
         assert len(test & performances) == min(num_test, len(unseen))

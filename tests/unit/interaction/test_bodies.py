@@ -11,11 +11,13 @@ from scipy.spatial.transform import Rotation
 from pasdedeux.bodies import Body, body_of, standing_motion
 from pasdedeux.bodies.shape import Cones, cones_of
 from pasdedeux.bodies.surface import _SMOOTH_M, _packed, surface_field
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.capsules import radius_per_height, standing_m
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from tests.builders.moving_pairs import swaying_pair
 
 STATURES_M = (0.9, 1.75, 2.2)
+CHAIN = Skeleton("tail", ("a", "b", "c"), (-1, 0, 1))
 
 
 def standing_body(skeleton: Skeleton, stature_m: float) -> Body:
@@ -66,19 +68,18 @@ def test_the_surface_lies_within_a_centimetre_of_the_capsules(stature_m: float) 
         np.array([parent for parent, _ in BODY22.bones]),
         np.eye(len(bones), dtype=bool),
     )
-    beside, num, one = field(body.vertices_m, capsules), len(cones.joints), np.ones((1, 1), dtype=bool)
+    beside = field(body.vertices_m, capsules)
     assert beside.min() > -0.01
-    alone = [Cones(*(part[[at]] for part in (cones.ends_m, cones.radii_m, cones.joints)), one) for at in range(num)]
+    parts, single = (cones.ends_m, cones.radii_m, cones.joints), np.ones((1, 1), dtype=bool)
+    alone = [Cones(*(part[[at]] for part in parts), single) for at in range(len(cones.joints))]
     by_cone = np.stack([field(body.vertices_m, cone) for cone in alone], axis=1)
     is_bone = np.array([any(np.allclose(ends, bone) for bone, _ in bones) for ends in cones.ends_m])
     is_covered = is_bone[by_cone.argmin(axis=1)]
     assert 0.4 < is_covered.mean() < 0.9, "head, hands, heels and flanks lie outside"
     assert beside[is_covered].max() < 0.01
-    way = np.random.default_rng(0).normal(size=(len(bones), 200, 3))
-    ends = capsules.ends_m[:, 0, None] + np.linspace(0, 1, 200)[:, None] * np.diff(capsules.ends_m, axis=1)
-    outside = ends + radii[[child for _, child in BODY22.bones], None, None] * (
-        way / np.linalg.norm(way, axis=-1, keepdims=True)
-    )
+    directions = normalise(np.random.default_rng(0).normal(size=(len(bones), 200, 3)))
+    axes = capsules.ends_m[:, 0, None] + np.linspace(0, 1, 200)[:, None] * np.diff(capsules.ends_m, axis=1)
+    outside = axes + capsules.radii_m[:, :1, None] * directions
     assert field(outside.reshape(-1, 3), cones).max() < 0.01, "no capsule comes out of the body"
 
 
@@ -142,21 +143,17 @@ def test_positions_alone_rest_in_a_t_pose_and_move_as_they_are() -> None:
     world = motion.world()[0]
     for limb in BODY22.limbs:
         for start, end in pairwise(limb):
-            np.testing.assert_allclose(
-                (world - world[:, [start]])[:, end], (positions - positions[:, [start]])[:, end], atol=1e-6
-            )
+            bone, expected = (places[:, end] - places[:, start] for places in (world, positions))
+            np.testing.assert_allclose(bone, expected, atol=1e-6)
 
 
 def test_a_tree_of_unknown_joints_has_capsules_alone() -> None:
-    chain = Skeleton("tail", ("a", "b", "c"), (-1, 0, 1))
-    body = body_of(chain, np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.1, 0.05]))
+    body = body_of(CHAIN, np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.1, 0.05]))
     assert body.vertices_m[:, 0].min() == pytest.approx(-0.1, abs=0.01)
     assert body.vertices_m[:, 0].max() == pytest.approx(1.05, abs=0.01)
 
 
 def test_a_joint_that_lies_far_off_does_not_fill_the_memory() -> None:
-    far = Skeleton("far", ("a", "b", "c"), (-1, 0, 1))
-    body = body_of(
-        far, np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0], [200.0, 300.0, 100.0]]), np.array([0.0, 4.0, 4.0])
-    )
+    far_m = np.array([[0.0, 0.0, 0.0], [200.0, 0.0, 0.0], [200.0, 300.0, 100.0]])
+    body = body_of(CHAIN, far_m, np.array([0.0, 4.0, 4.0]))
     assert 0 < len(body.vertices_m) < 20_000

@@ -49,23 +49,14 @@ def test_penetration_is_the_sum_of_depths_of_the_pairs_that_are_checked() -> Non
     radii = MODEL.radii_of(pairs)
 
     def total(pair: np.ndarray, first: int, second: int, checked: np.ndarray) -> float:
-        depths = [
-            radii[first, one]
-            + radii[second, other]
-            - segment_distance(
-                pair[first, MODEL.parents[one]],
-                pair[first, one],
-                pair[second, MODEL.parents[other]],
-                pair[second, other],
-            )
-            for one, other in checked
-        ]
-        return float(np.maximum(depths, 0.0).sum())
+        depth = 0.0
+        for a, b in checked:
+            ends = pair[first, [MODEL.parents[a], a]], pair[second, [MODEL.parents[b], b]]
+            depth += max(float(radii[first, a] + radii[second, b] - segment_distance(*ends[0], *ends[1])), 0.0)
+        return depth
 
-    expected = [
-        [total(pair, 0, 0, MODEL.within), total(pair, 1, 1, MODEL.within), total(pair, 0, 1, MODEL.between)]
-        for pair in pairs
-    ]
+    checks = ((0, 0, MODEL.within), (1, 1, MODEL.within), (0, 1, MODEL.between))
+    expected = [[total(pair, *check) for check in checks] for pair in pairs]
     sums = MODEL.penetration(pairs, radii)
     np.testing.assert_allclose(sums, expected, atol=1e-12)
     assert (sums[:, 2] > 0).mean() > 0.3
@@ -92,10 +83,9 @@ def test_standing_people_do_not_penetrate_until_they_are_pushed_into_each_other(
     height = body_height_m(PAIR17, bone_lengths(PAIR17, pose))
     assert height == pytest.approx(1.72, abs=0.02)
     facing = pose * [-1, 1, -1]
-    depths = [MODEL.penetration(np.stack([pose, facing + np.array([0, 0, gap])]), radii)[2] for gap in (1.0, 0.15, 0.1)]
-    assert depths[0] == 0
-    assert depths[0] < depths[1] < depths[2]
-    assert not MODEL.penetration(np.stack([pose, facing + np.array([0, 0, 1.0])]), radii).any()
+    sums = [MODEL.penetration(np.stack([pose, facing + np.array([0, 0, gap])]), radii) for gap in (1.0, 0.15, 0.1)]
+    assert not sums[0].any()
+    assert 0 < sums[1][2] < sums[2][2]
 
 
 @pytest.mark.parametrize("skeleton", [PAIR17, BODY22])
@@ -103,8 +93,8 @@ def test_every_bone_has_a_radius_and_neighbours_are_not_checked(skeleton: Skelet
     model = capsule_model(skeleton)
     assert (model.radius_per_height[[child for _, child in skeleton.bones]] > 0).all()
     assert len(model.between) == (skeleton.num_joints - 1) ** 2
-    for one, other in model.within:
-        assert len({one, other, skeleton.parents[one], skeleton.parents[other]}) == 4
+    for first, second in model.within:
+        assert len({first, second, skeleton.parents[first], skeleton.parents[second]}) == 4
     index = skeleton.index
     pairs = {tuple(pair) for pair in model.within.tolist()}
     assert tuple(sorted((index("left_knee"), index("right_knee")))) in pairs

@@ -25,13 +25,13 @@ def capsule(start: np.ndarray, end: np.ndarray, radius: float) -> fcl.CollisionO
     )
 
 
-def signed_distance(one: fcl.CollisionObject, other: fcl.CollisionObject) -> float:
-    apart = float(fcl.distance(one, other, fcl.DistanceRequest(), fcl.DistanceResult()))
+def signed_distance(first: fcl.CollisionObject, second: fcl.CollisionObject) -> float:
+    apart = float(fcl.distance(first, second, fcl.DistanceRequest(), fcl.DistanceResult()))
     if apart > 0.0:
         return apart
     # Only this finds how deep: with iterations, so not quite exactly.
     request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
-    return float(fcl.distance(one, other, request, fcl.DistanceResult()))
+    return float(fcl.distance(first, second, request, fcl.DistanceResult()))
 
 
 @pytest.mark.parametrize("spread_m", [0.15, 0.4])
@@ -40,10 +40,10 @@ def test_distances_and_depths_of_capsules_are_those_of_fcl(spread_m: float) -> N
     inside = 0
     for _ in range(500):
         ends, radii = rng.normal(scale=spread_m, size=(4, 3)), rng.uniform(0.03, 0.1, 2)
-        own = float(segment_distance(*ends)) - radii.sum()
-        found = signed_distance(capsule(ends[0], ends[1], radii[0]), capsule(ends[2], ends[3], radii[1]))
-        assert own == pytest.approx(found, abs=TOLERANCE_M)
-        inside += own < 0.0
+        distance = float(segment_distance(*ends)) - radii.sum()
+        by_fcl = signed_distance(capsule(ends[0], ends[1], radii[0]), capsule(ends[2], ends[3], radii[1]))
+        assert distance == pytest.approx(by_fcl, abs=TOLERANCE_M)
+        inside += distance < 0.0
     assert 20 < inside < 480
 
 
@@ -51,18 +51,15 @@ def test_penetration_of_pairs_is_that_of_fcl() -> None:
     pairs = random_pairs(3, 6)
     radii = MODEL.radii_of(pairs)
     sums = MODEL.penetration(pairs, radii)
+    checks = ((0, 0, MODEL.within), (1, 1, MODEL.within), (0, 1, MODEL.between))
     for row, pair in enumerate(pairs):
         bodies = [
             {bone: capsule(person[MODEL.parents[bone]], person[bone], radii[index, bone]) for _, bone in PAIR17.bones}
             for index, person in enumerate(pair)
         ]
 
-        def total(first: int, second: int, checked: np.ndarray, bodies: list[dict] = bodies) -> float:
-            found = [signed_distance(bodies[first][one], bodies[second][other]) for one, other in checked.tolist()]
-            return -sum(distance for distance in found if distance < 0.0)
-
-        within = [total(person, person, MODEL.within) for person in range(2)]
-        between = total(0, 1, MODEL.between)
-        np.testing.assert_allclose(sums[row, :2], within, atol=len(MODEL.within) * TOLERANCE_M)
-        assert sums[row, 2] == pytest.approx(between, abs=len(MODEL.between) * TOLERANCE_M)
+        for column, (first, second, checked) in enumerate(checks):
+            distances = [signed_distance(bodies[first][a], bodies[second][b]) for a, b in checked.tolist()]
+            depth = -sum(distance for distance in distances if distance < 0.0)
+            assert sums[row, column] == pytest.approx(depth, abs=len(checked) * TOLERANCE_M)
     assert sums.sum(axis=1).max() > 0.05

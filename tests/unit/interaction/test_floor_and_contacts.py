@@ -41,8 +41,8 @@ def test_gaps_are_segment_distances_less_radii_blind_to_rigid_motion_and_to_who_
     assert np.linalg.norm(points[0] - points[1]) == pytest.approx(expected, abs=1e-9)
     moved = np.einsum("ij,...j->...i", yaw_rotmat(rng.uniform(-3, 3)), pair) + rng.normal(0, 1, 3)
     np.testing.assert_allclose(surface_gaps(moved, RADII, BODY22).gap_m, found.gap_m, atol=1e-9)
-    other = surface_gaps(pair[:, ::-1], RADII[::-1], BODY22)
-    np.testing.assert_allclose(other.gap_m.swapaxes(-1, -2), found.gap_m, atol=1e-9)
+    exchanged = surface_gaps(pair[:, ::-1], RADII[::-1], BODY22)
+    np.testing.assert_allclose(exchanged.gap_m.swapaxes(-1, -2), found.gap_m, atol=1e-9)
     np.testing.assert_allclose(found.closest_m, found.gap_m.reshape(3, -1).min(axis=1))
 
 
@@ -101,9 +101,8 @@ def test_weights_of_contacts_move_little_when_people_move_little_and_none_is_fou
     pair = make_duet("waltz", rate_hz=10.0).positions_m()
     nudged = pair + np.random.default_rng(0).normal(0, 1e-4, pair.shape)
     before, after = (find_contacts(motion, RADII, BODY22, rate_hz=10.0) for motion in (pair, nudged))
-    assert (
-        np.abs(before.weights.sum(axis=1) - after.weights.sum(axis=1)).max() < 0.02 * before.weights.sum(axis=1).max()
-    )
+    sum_before, sum_after = (contacts.weights.sum(axis=1) for contacts in (before, after))
+    assert np.abs(sum_before - sum_after).max() < 0.02 * sum_before.max()
     apart = pair + np.array([[[0.0] * 3], [[3.0, 0.0, 0.0]]])
     assert find_contacts(apart, RADII, BODY22, rate_hz=10.0).weights.size == 0
 

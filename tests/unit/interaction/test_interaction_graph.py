@@ -25,17 +25,15 @@ def as_set(edges: np.ndarray) -> set[tuple[int, int]]:
 @pytest.mark.parametrize("shape", [(1.0, 1.0), (1.0, 0.02), (1e-3, 1e-3)])
 def test_triangulation_kernel_agrees_with_scipy(shape: tuple[float, float]) -> None:
     points = np.random.default_rng(3).normal(size=(300, 34, 2)) * shape
-    edges, counts = delaunay_edges_fast(points)
-    for one, own, count in zip(points, edges, counts, strict=True):
-        assert as_set(own[:count]) == scipy_edges(one + jitter(34))
+    for figure, edges, count in zip(points, *delaunay_edges_fast(points), strict=True):
+        assert as_set(edges[:count]) == scipy_edges(figure + jitter(34))
 
 
 @pytest.mark.parametrize("num_points", [1, 2, 3, 4, 5])
 def test_triangulation_kernel_takes_few_points(num_points: int) -> None:
     points = np.random.default_rng(num_points).normal(size=(20, num_points, 2))
-    edges, counts = delaunay_edges_fast(points)
-    for one, own, count in zip(points, edges, counts, strict=True):
-        assert as_set(own[:count]) == as_set(delaunay_edges(one))
+    for figure, edges, count in zip(points, *delaunay_edges_fast(points), strict=True):
+        assert as_set(edges[:count]) == as_set(delaunay_edges(figure))
 
 
 @pytest.mark.parametrize("kind", ["duplicates", "line", "grid", "one_point"])
@@ -52,11 +50,11 @@ def test_degenerate_points_have_one_full_triangulation(kind: str) -> None:
         points[:] = 0.7
     edges, counts = delaunay_edges_fast(points[None])
     again, _ = delaunay_edges_fast(points[None])
-    own = as_set(edges[0, : counts[0]])
-    assert own == as_set(again[0, : counts[0]])
+    found = as_set(edges[0, : counts[0]])
+    assert found == as_set(again[0, : counts[0]])
     # Euler: a triangulation of n points has between 2n - 3 and 3n - 6 edges, and joins every point.
-    assert 2 * 34 - 3 <= len(own) <= max_edges(34)
-    assert {joint for edge in own for joint in edge} == set(range(34))
+    assert 2 * 34 - 3 <= len(found) <= max_edges(34)
+    assert {joint for edge in found for joint in edge} == set(range(34))
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -126,9 +126,3 @@ def test_view_axes_are_a_proper_rotation_also_when_up_is_along_the_view() -> Non
     rotmat = view_rotmat(directions, np.array([0.0, 1.0, 0.0]))
     np.testing.assert_allclose(rotmat @ np.swapaxes(rotmat, -1, -2), np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(rotmat), 1.0)
-
-
-def test_pixels_become_metres_with_the_vertical_turned_round() -> None:
-    px = np.array([[[100.0, 50.0], [110.0, 80.0]]])
-    image = metres_from_pixels(px, np.array([0.01]), np.array([[100.0, 50.0]]))
-    np.testing.assert_allclose(image, [[[0, 0], [0.1, -0.3]]])

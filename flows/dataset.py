@@ -6,8 +6,8 @@ Importing this module imports Prefect, so nothing above it does so before there 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,8 @@ from prefect import flow, task  # noqa: E402
 from prefect.artifacts import create_markdown_artifact, create_table_artifact  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
 from prefect.client.orchestration import get_client  # noqa: E402
+from prefect.events.clients import PrefectEventsClient  # noqa: E402
+from prefect.events.worker import EventsWorker  # noqa: E402
 from prefect.runtime import flow_run  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
@@ -87,7 +89,11 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
             raise
 
     try:
-        with signed_in(address or "this machine"), temporary_settings(settings):
+        with (
+            signed_in(address or "this machine"),
+            temporary_settings(settings),
+            nullcontext() if address else _impatient_events(),
+        ):
             build(study=run.study.name, run_id=folder.run_id)
     except Exception as error:
         if not results:
@@ -97,6 +103,16 @@ def build_in_flow(run: Run, plan: Plan, pool: Pool, server: LocalServer | None) 
     if isinstance(results[0], Exception):
         raise results[0] from None
     return results[0]
+
+
+@contextmanager
+def _impatient_events() -> Iterator[None]:
+    """Let events of this block be dropped after one attempt to reconnect: the process waits for all ten at its end."""
+    EventsWorker.set_client_override(PrefectEventsClient, reconnection_attempts=1)
+    try:
+        yield
+    finally:
+        EventsWorker.set_client_override(None)
 
 
 @flow(name="pasdedeux-dataset", retries=0, persist_result=False, task_runner=_THREADS)

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 from httpx import ConnectError
+from prefect.events.clients import PrefectEventsClient
+from prefect.events.worker import EventsWorker
 from prefect.settings import PREFECT_API_URL, PREFECT_CLIENT_MAX_RETRIES, PREFECT_FLOWS_HEARTBEAT_FREQUENCY
 
 from flows import dataset as flow_module
@@ -141,6 +143,7 @@ class Prefect:
     error: Exception | None = None
     is_early: bool = False
     settings: dict[Any, Any] = field(default_factory=dict)
+    events_client: object = None
     told: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     checked: list[str] = field(default_factory=list)
@@ -155,6 +158,7 @@ class Prefect:
                 self.told |= named
                 if self.error is not None and self.is_early:
                     raise self.error
+                self.events_client = EventsWorker._client_override
                 body(**named)
                 if self.error is not None:
                     raise self.error
@@ -219,6 +223,8 @@ def test_a_run_has_a_flow_on_a_server_of_its_own_that_nobody_starts_again(
     }
     assert (prefect.told["study"], prefect.told["run_id"]) == ("toy", outcome.run_id)
     assert (prefect.signed_in, prefect.checked, server.has_ended) == (["this machine"], [], False)
+    assert prefect.events_client == (PrefectEventsClient, (("reconnection_attempts", 1),))
+    assert EventsWorker._client_override is None, "another flow of this process has another server"
 
 
 def test_on_a_users_server_the_one_of_the_run_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,6 +232,7 @@ def test_on_a_users_server_the_one_of_the_run_is_ended(tmp_path: Path, monkeypat
     prefect = Prefect(address)
     prefect.build(monkeypatch, write_study(tmp_path), server)
     assert (prefect.settings, prefect.signed_in, prefect.checked) == ({}, [address], [address])
+    assert prefect.events_client is None
     assert server.has_ended
     assert Prefect(address).build(monkeypatch, tmp_path / "toy.toml", None).num_computed == 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.body_models import amass, body_model, npz
+
+SAMPLES = Path(__file__).with_name("samples")
 
 FIGURE_REST_M = {
     "pelvis": (0.0, 0.95, 0.0),
@@ -72,113 +75,9 @@ def bvh_text(num_frames: int = 12, rate_hz: float = 30.0, seed: int = 0) -> str:
     return write_bvh(figure_motion(num_frames, rate_hz, seed))
 
 
-BVH_SMALL = """HIERARCHY
-ROOT Hips
-{
-\tOFFSET 0.0 0.0 0.0
-\tCHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
-\tJOINT Spine
-\t{
-\t\tOFFSET 0.0 10.0 0.0
-\t\tCHANNELS 3 Zrotation Xrotation Yrotation
-\t\tEnd Site
-\t\t{
-\t\t\tOFFSET 0.0 5.0 1.0
-\t\t}
-\t}
-\tJOINT LeftUpLeg
-\t{
-\t\tOFFSET 3.0 0.0 0.0
-\t\tCHANNELS 1 Xrotation
-\t\tEnd Site
-\t\t{
-\t\t\tOFFSET 0.0 -8.0 0.0
-\t\t}
-\t}
-}
-MOTION
-Frames: 3
-Frame Time: 0.008333
-1.0 2.0 3.0 0 0 0 0 0 0 0
-1.5 2.0 3.0 90 0 0 0 0 0 90
-2.0 2.0 3.0 10 20 30 40 50 60 70
-"""
-
-ASF = """# a small skeleton
-:version 1.10
-:name TEST
-:units
-  mass 1.0
-  length 0.45
-  angle deg
-:documentation
-   nothing
-:root
-   order TX TY TZ RX RY RZ
-   axis XYZ
-   position 0 0 0
-   orientation 0 0 0
-:bonedata
-  begin
-     id 1
-     name lowerback
-     direction 0 1 0
-     length 2.0
-     axis 0 0 0  XYZ
-    dof rx ry rz
-    limits (-20.0 45.0)
-           (-30.0 30.0)
-           (-30.0 30.0)
-  end
-  begin
-     id 2
-     name lhipjoint
-     direction 1 0 0
-     length 1.5
-     axis 0 0 0 XYZ
-  end
-  begin
-     id 3
-     name lfemur
-     direction 0.34202 -0.939693 0
-     length 7.0
-     axis 0 0 20  XYZ
-    dof rx ry rz
-    limits (-160.0 20.0)
-           (-70.0 70.0)
-           (-60.0 70.0)
-  end
-  begin
-     id 4
-     name ltibia
-     direction 0.34202 -0.939693 0
-     length 7.2
-     axis 0 0 20 XYZ
-    dof rx
-    limits (-10.0 170.0)
-  end
-:hierarchy
-  begin
-    root lowerback lhipjoint
-    lhipjoint lfemur
-    lfemur ltibia
-  end
-"""
-
-AMC = """#!OML:ASF
-:FULLY-SPECIFIED
-:DEGREES
-1
-root 1 2 3 0 0 0
-lowerback 0 0 0
-lfemur 0 0 0
-ltibia 0
-2
-root 1 2 3.5 0 90 0
-lowerback 10 0 0
-lfemur -90 0 0
-ltibia 45
-"""
+BVH_SMALL = (SAMPLES / "small.bvh").read_text()
+ASF = (SAMPLES / "small.asf").read_text()
+AMC = (SAMPLES / "small.amc").read_text()
 
 
 def openpose_text(layout: str = "coco18", *, people: int = 1, seed: int = 0, missing: tuple[int, ...] = ()) -> str:
@@ -407,27 +306,7 @@ _EXPI_OURS = {"fhead": "head", "lhead": "left_head", "rhead": "right_head"} | {
 }
 
 ROTATION_ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"
-ROTATION_TEMPLATE = """HIERARCHY
-ROOT A
-{
-OFFSET 0 1 0
-CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-JOINT B
-{
-OFFSET 0 1 0
-CHANNELS 3 Zrotation Xrotation Yrotation
-JOINT C
-{
-OFFSET 0 1 0
-CHANNELS 3 Zrotation Xrotation Yrotation
-End Site
-{
-OFFSET 0 0 0
-}
-}
-}
-}
-"""
+ROTATION_TEMPLATE = (SAMPLES / "rotation_template.bvh").read_text()
 
 GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
     "bvh": (BVH_SMALL.encode(), b""),

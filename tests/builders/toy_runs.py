@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from distributed import Client
@@ -89,47 +89,39 @@ def states(plan: Plan) -> dict[str, str]:
     return words
 
 
-class Started:
-    """The command line in a process of its own, on the toy stages."""
+class Gates:
+    """The folder in which toy shards note that they begin, and at whose gates they wait or fail."""
 
-    def __init__(self, arguments: Sequence[str], *, gates: Path, prefect_home: Path) -> None:
-        gates.mkdir(exist_ok=True)
-        self.gates = gates
-        environment = {**os.environ, "TOY_FOLDER": str(gates), "PREFECT_HOME": str(prefect_home)}
-        environment.pop("PREFECT_API_URL", None)
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.builders.toys", *arguments],
-            cwd=ROOT,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "gates"
+        self.folder.mkdir()
 
-    def interrupt(self) -> None:
-        """Do what Ctrl-C at a terminal does: SIGINT to the process and everything in its group."""
-        os.killpg(self.process.pid, signal.SIGINT)
+    def close(self, *shards: str, what: Literal["hold", "fail"] = "hold") -> None:
+        """Let shards wait, or "fail"."""
+        for shard in shards:
+            (self.folder / f"{what}-{shard}").touch()
+
+    def open(self) -> None:
+        """Let all shards go on."""
+        for gate in self.folder.glob("*-*"):
+            gate.unlink()
+
+    def begun(self) -> list[tuple[str, int]]:
+        """Return shards and the processes that began to compute them, in that order."""
+        notes = self.folder / "ran.txt"
+        lines = [line.split() for line in notes.read_text().splitlines()] if notes.exists() else []
+        return [(shard, int(process)) for shard, process in lines]
 
     def ran(self) -> list[str]:
         """Return the shards whose computation began, in that order."""
-        path = self.gates / "ran.txt"
-        return [line.split()[0] for line in path.read_text().splitlines()] if path.exists() else []
+        return [shard for shard, _ in self.begun()]
 
-    def worker_of(self, name: str) -> int:
-        """Return the process that began to compute a shard last."""
-        lines = [line.split() for line in (self.gates / "ran.txt").read_text().splitlines()]
-        return int(next(pid for shard, pid in reversed(lines) if shard == name))
-
-    def wait_for(self, name: str) -> None:
-        """Wait until a shard's computation began."""
-        wait_until(lambda: name in self.ran() or self.process.poll() is not None, f"{name} to begin")
-        assert self.process.poll() is None, self.process.communicate()
-
-    def finish(self) -> tuple[int, str, str]:
-        """Wait for the end; gives exit code, standard output and standard error."""
-        out, err = self.process.communicate(timeout=240)
-        return self.process.returncode, out, err
+    def wait_for(self, *shards: str, run: subprocess.Popen[str] | None = None) -> None:
+        """Wait until these shards' computation began; fail at once if the process that runs them ends before."""
+        wait_until(
+            lambda: {*shards} <= {*self.ran()} or (run is not None and run.poll() is not None), f"{shards} to begin"
+        )
+        assert run is None or run.poll() is None, run.communicate()
 
 
 class Outside:

@@ -1,14 +1,13 @@
 """Small stages for tests of the runner: real shards in a real store, with gates to stop at and a record of what ran.
 
 Environment: TOY_FOLDER is a folder for gates and records. A shard named `<stage>-<partition>-<name>` waits while the
-file `hold-<that>` is there, dies while `kill-<that>` is there, fails while `fail-<that>` is there; it leaves a line in
-`ran.txt` when it begins to compute.
+file `hold-<that>` is there and fails while `fail-<that>` is there; it leaves a line in `ran.txt` when it begins to
+compute.
 """
 
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -38,8 +37,6 @@ def note_and_obey(shard: Shard) -> None:
     name = f"{shard.stage}-{shard.partition}-{shard.name}"
     with (folder / "ran.txt").open("a") as file:
         file.write(f"{name} {os.getpid()}\n")
-    if (folder / f"kill-{name}").exists():
-        os.kill(os.getpid(), signal.SIGKILL)
     if (folder / f"fail-{name}").exists():
         raise OSError(28, "No space left on device")
     deadline = time.monotonic() + HOLD_LIMIT_S

@@ -360,7 +360,7 @@ FAULTS = (
           "tuple(m for m in self._made.values() if m.ref.stage == stage.name)", "unit/flows/test_flows_execution.py::"
           "test_neither_the_number_of_workers_nor_the_order_of_finishing_changes_anything"),
     Fault("a shard computes with all threads", "tasks/shards/running.py", ".limit(limits=1)", ".limit(limits=None)",
-          "end_to_end/test_same_bytes.py::"
+          "fault/test_real_study_recovery.py::"
           "test_a_shard_computes_with_one_thread_whatever_its_process_was_started_with"),
     Fault("a process computes two shards at a time", "tasks/shards/running.py",
           "with _ONE_AT_A_TIME, _libraries", "with _libraries",

@@ -16,6 +16,7 @@ from hypothesis import Phase, settings
 
 if TYPE_CHECKING:
     from storage_schema import Store
+    from tests.builders.command_line import CommandLine
     from tests.builders.real_study import BuiltStudy
 
 # One thread for linear algebra, as workers have it; its libraries read this when numpy is first imported, by the tests.
@@ -76,6 +77,23 @@ def store(tmp_path: Path) -> Store:
     from storage_schema import Store  # late, as all that imports numpy
 
     return Store(tmp_path / "store")
+
+
+@pytest.fixture
+def invoke(capsys: pytest.CaptureFixture[str]) -> CommandLine:
+    """Return the command line, called in this process."""
+    from tests.builders.command_line import CommandLine
+
+    return CommandLine(capsys)
+
+
+@pytest.fixture
+def invoke_toys(capsys: pytest.CaptureFixture[str]) -> CommandLine:
+    """Return the command line with the toy stages, called in this process."""
+    from tests.builders.command_line import CommandLine
+    from tests.builders.toys import TOYS
+
+    return CommandLine(capsys, TOYS)
 
 
 @pytest.fixture(scope="session")

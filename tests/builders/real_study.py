@@ -5,7 +5,6 @@ What the command line refuses, it refuses before it imports Prefect, so such cal
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -20,6 +19,7 @@ import psutil
 from flows.console.app import run_command_line
 from storage_schema import Store, read_latest
 from tasks.graph import Graph, load_graph
+from tests.builders.command_line import Answer
 from tests.builders.toy_runs import ROOT, run_toys, wait_until
 
 __all__ = [
@@ -109,20 +109,6 @@ def committed(store: Path) -> dict[tuple[str, str, str], str]:
 def never_begun(store: Path) -> bool:
     """Tell whether nothing was computed or recorded in a store."""
     return not store.exists() or (not committed(store) and not list((store / "runs").glob("*-*")))
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What one call of the command line gave."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        """The answer of `--json`."""
-        return json.loads(self.out)
 
 
 def call_in_process(capsys: Any, *arguments: str | Path) -> Answer:

@@ -236,6 +236,13 @@ def csv_text(num_frames: int = 3) -> str:
     return "\n".join(lines) + "\n"
 
 
+def pair_csv_text(num_frames: int = 3) -> str:
+    """Return the table of two people who stand in the same place."""
+    first = csv_text(num_frames).splitlines()
+    second = [line.replace(",0,", ",1,", 1) for line in first if line[0].isdigit()]
+    return "\n".join([*first, *second, ""])
+
+
 def positions_npz() -> bytes:
     """Return the figure's positions without rotations."""
     positions, _ = figure_motion().world()

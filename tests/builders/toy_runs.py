@@ -76,6 +76,11 @@ def digests(store: Path, study: str = "toy") -> dict[str, list[str]]:
     return {stage: [ref.content_digest for ref in latest.refs(stage)] for stage in latest.stages}
 
 
+def computed(outcome: Outcome) -> dict[str, int]:
+    """Return how many shards were computed of each stage of which any was."""
+    return {stage.name: stage.num_computed for stage in outcome.stages if stage.num_computed}
+
+
 def states(plan: Plan) -> dict[str, str]:
     """Return each stage's state in a word, or its counts."""
     words = {}

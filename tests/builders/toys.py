@@ -10,7 +10,9 @@ from __future__ import annotations
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +26,7 @@ from tasks.stage.committing import commit
 from tasks.stage.facts import Facts, TakeFacts, merge_takes
 from tasks.stage.streams import stream
 
-__all__ = ["TOYS"]
+__all__ = ["TOYS", "toys_with"]
 
 HOLD_LIMIT_S = 60.0
 
@@ -232,6 +234,11 @@ TOYS = Graph(
         ),
     )
 )
+
+
+def toys_with(name: str, graph: Graph = TOYS, **changes: Any) -> Graph:
+    """Return the toy stages, one of which is changed."""
+    return Graph(tuple(replace(stage, **changes) if stage.name == name else stage for stage in graph.stages))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from flows.console import bench
 from flows.console.app import run_command_line
 from flows.study import load_study
 from tasks.graph import load_graph
+from tests.builders.command_line import CommandLine
 
 
 def test_commands_and_scale_have_benchmarks_beside_the_stages() -> None:
@@ -52,23 +53,21 @@ def test_whole_commands_are_measured_only_where_they_are_named(
     capsys.readouterr()
 
 
-def test_a_demo_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demo_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch, invoke: CommandLine) -> None:
     failing = [sys.executable, "-c", "import sys; sys.exit('error: no space is left')"]
     plain = subprocess.run
     monkeypatch.setattr(commands.subprocess, "run", lambda _, **how: plain(failing, **how))
     monkeypatch.setitem(BENCHMARKS, "commands", {"demo": commands.BENCHMARKS["demo"]})
-    assert run_command_line(["bench", "commands"]) == 1
-    last = capsys.readouterr().err.splitlines()[-1]
+    last = invoke("bench", "commands", code=1).err.splitlines()[-1]
     assert last.startswith("error: `pasdedeux run duets --workers ")
     assert last.endswith(" failed: no space is left")
 
 
 def test_an_installation_without_a_checkout_says_where_benchmarks_are(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, invoke: CommandLine, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(bench, "_ROOT", tmp_path)
-    assert run_command_line(["bench"]) == 2
-    assert capsys.readouterr().err == (
+    assert invoke("bench", code=2).err == (
         "error: benchmarks are not installed: run this command in a checkout (`pip install --editable .`)\n"
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,9 +11,10 @@ from typing import Any
 import pytest
 
 from flows.console import doctor
-from flows.console.app import run_command_line
 from flows.prefect_server import ServerError
+from storage_schema import Store
 from tasks.shards import ClusterError
+from tests.builders.command_line import CommandLine
 
 GIB = 2**30
 
@@ -48,56 +48,48 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "check", "is_ok", "words"),
+    ("name", "value", "check", "code", "words"),
     [
-        ("memory", 2 * GIB, "memory", True, "2.0 GB; 2 GB per worker are assumed"),
-        ("memory", 2 * GIB - 1, "memory", False, "2.0 GB"),
-        ("memory", None, "memory", True, "unknown"),
-        ("disk", GIB, "store", True, "is writable, 1.0 GB free"),
-        ("disk", GIB - 1, "store", False, "1.0 GB free"),
-        ("cache", ("/kept", ""), "compiled kernels", True, "kept in /kept"),
-        ("cache", ("/kept", "no folder for them"), "compiled kernels", False, "no folder for them"),
-        ("dask", None, "dask", True, "a local worker starts and answers (process 77)"),
-        ("dask", "no worker came", "dask", False, "no worker came"),
+        ("memory", 2 * GIB, "memory", 0, "2.0 GB; 2 GB per worker are assumed"),
+        ("memory", 2 * GIB - 1, "memory", 1, "2.0 GB"),
+        ("memory", None, "memory", 0, "unknown"),
+        ("disk", GIB, "store", 0, "is writable, 1.0 GB free"),
+        ("disk", GIB - 1, "store", 1, "1.0 GB free"),
+        ("cache", ("/kept", ""), "compiled kernels", 0, "kept in /kept"),
+        ("cache", ("/kept", "no folder for them"), "compiled kernels", 1, "no folder for them"),
+        ("dask", None, "dask", 0, "a local worker starts and answers (process 77)"),
+        ("dask", "no worker came", "dask", 1, "no worker came"),
     ],
 )
 def test_what_is_not_enough_is_bad_and_ends_with_1(
-    machine: dict[str, Any],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    value: Any,
-    check: str,
-    is_ok: bool,
-    words: str,
+    machine: dict[str, Any], store: Store, invoke: CommandLine, name: str, value: Any, check: str, code: int, words: str
 ) -> None:
     machine["found"][name] = value
-    assert run_command_line(["doctor", "--store", str(tmp_path / "store"), "--json"]) == (0 if is_ok else 1)
-    findings = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-    assert {one for one, finding in findings.items() if not finding["is_ok"]} == (set() if is_ok else {check})
+    answer = invoke("doctor", "--store", store, "--json", code=code)
+    findings = {finding["name"]: finding for finding in answer.json}
+    assert {name for name, finding in findings.items() if not finding["is_ok"]} == ({check} if code else set())
     assert words in findings[check]["found"]
     assert "numpy " in findings["packages"]["found"]
     assert "starts and ends its own" in findings["prefect server"]["found"]
 
 
-@pytest.mark.parametrize("answering", ["http://here/api", "http://elsewhere/api"])
+@pytest.mark.parametrize(
+    ("answering", "code", "line"),
+    [("http://here/api", 0, "ok http://here/api answers"), ("http://a/api", 1, "BAD http://here/api does not answer")],
+)
 def test_a_server_that_is_named_must_answer_and_waiting_is_said_aside(
-    machine: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], answering: str
+    machine: dict[str, Any], tmp_path: Path, invoke: CommandLine, answering: str, code: int, line: str
 ) -> None:
     machine["settings"].api.url, machine["found"]["server"] = "http://here/api", answering
-    is_ok = answering == "http://here/api"
-    assert run_command_line(["doctor", "--store", str(tmp_path)]) == (0 if is_ok else 1)
-    said = capsys.readouterr()
-    (line,) = (line for line in said.out.splitlines() if "prefect server" in line)
-    assert line.split(maxsplit=3)[::3] == (
-        ["ok", "http://here/api answers"] if is_ok else ["BAD", "http://here/api does not answer"]
-    )
+    said = invoke("doctor", "--store", tmp_path, code=code)
+    (found,) = (line for line in said.out.splitlines() if "prefect server" in line)
+    assert " ".join(found.split(maxsplit=3)[::3]) == line
     assert said.err == "waiting\n"
 
 
 def test_a_store_that_cannot_be_written_is_bad(
-    machine: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    machine: dict[str, Any], monkeypatch: pytest.MonkeyPatch, store: Store, invoke: CommandLine
 ) -> None:
-    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
-    assert run_command_line(["doctor", "--store", str(tmp_path / "store")]) == 1
-    assert f"BAD  store            {tmp_path / 'store'} is not writable" in capsys.readouterr().out
+    monkeypatch.setattr("os.access", lambda path, mode: path != store.root.parent)
+    said = invoke("doctor", "--store", store, code=1).out
+    assert f"BAD  store            {store} is not writable" in said

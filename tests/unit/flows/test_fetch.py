@@ -15,20 +15,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from flows.console import fetch as fetch_module
-from flows.console.app import app
-from flows.console.context import Context
 from flows.console.fetch import Fetched, FetchError, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
+from storage_schema import Store
 from tasks.files.downloads import PublicRedirects, download, is_public_ip
 from tasks.ingest.takes.known_sources import was_fetched
-from tests.builders.real_study import build_here, call_in_process
+from tests.builders.command_line import CommandLine
+from tests.builders.real_study import build_here
 from tests.builders.source_samples import AMC, ASF
 
 PAGE = '<a href="subjects/60/60_01.amc">amc</a> <a href="subjects/60/60_02.amc">amc</a> <a href="61_01.amc">x</a>'
+TAKE = "/subjects/60/60_01.amc"
+FIRST_FRAME = AMC.encode().partition(b"\n2\n")[0] + b"\n"
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
 
 
 @dataclass
@@ -54,8 +59,8 @@ def site() -> Iterator[Site]:
     state = Site(
         files={
             "/subjects/60/60.asf": ASF.encode(),
-            "/subjects/60/60_01.amc": AMC.encode(),
-            "/subjects/60/60_02.amc": AMC.encode() * 1,
+            TAKE: AMC.encode(),
+            "/subjects/60/60_02.amc": AMC.encode(),
             "/search.php?subjectnumber=60": PAGE.encode(),
         }
     )
@@ -94,8 +99,13 @@ def site() -> Iterator[Site]:
     server.server_close()
 
 
+def fetch(site: Site, folder: Path, *takes: str) -> list[Fetched]:
+    """Fetch takes of subject 60, or all that the site lists."""
+    return list(fetch_cmu({"60": list(takes) or None}, folder, base_url=site.url))
+
+
 def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_path: Path) -> None:
-    found = list(fetch_cmu({"60": None}, tmp_path, base_url=site.url))
+    found = fetch(site, tmp_path)
     assert [item.path.name for item in found] == ["60.asf", "60_01.amc", "60_02.amc"]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert "mocap.cs.cmu.edu" in (tmp_path / "CREDITS.txt").read_text()
@@ -104,50 +114,47 @@ def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_pa
 
 
 def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+    fetch(site, tmp_path, "01")
     site.requests.clear()
-    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
-    assert all(item.was_there for item in again)
+    assert all(item.was_there for item in fetch(site, tmp_path, "01"))
     assert site.requests == []
 
 
-@pytest.mark.parametrize("left", [AMC.encode()[:60], AMC.encode().partition(b"\n2\n")[0] + b"\n"])
+@pytest.mark.parametrize("left", [AMC.encode()[:60], FIRST_FRAME])
 def test_a_damaged_file_that_is_there_is_brought_again_also_where_it_can_be_read(
     left: bytes, site: Site, tmp_path: Path
 ) -> None:
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+    fetch(site, tmp_path, "01")
     (tmp_path / "60_01.amc").write_bytes(left)
-    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
-    assert [item.was_there for item in again] == [True, False]
+    assert [item.was_there for item in fetch(site, tmp_path, "01")] == [True, False]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
 
 def test_a_file_that_was_cut_off_is_asked_for_again(site: Site, tmp_path: Path) -> None:
-    path = "/subjects/60/60_01.amc"
-    site.cut_after[path] = [50, 20]
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+    site.cut_after[TAKE] = [50, 20]
+    fetch(site, tmp_path, "01")
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
-    assert site.requests.count(path) == 3
+    assert site.requests.count(TAKE) == 3
 
 
 def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_whole(
     site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, first_frame = Path.write_bytes, AMC.encode().partition(b"\n2\n")[0] + b"\n"
-    assert read_amc(first_frame, read_asf(ASF)).num_frames == 1
+    write = Path.write_bytes
+    assert read_amc(FIRST_FRAME, read_asf(ASF)).num_frames == 1
 
     def broken(path: Path, data: bytes) -> int:
         if ".amc" not in path.name:
             return write(path, data)
-        write(path, first_frame)
+        write(path, FIRST_FRAME)
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", broken)
         with pytest.raises(FetchError, match=r"60_01.amc cannot be written: No space"):
-            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
-    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+            fetch(site, tmp_path, "01")
+    assert names_in(tmp_path) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
+    fetch(site, tmp_path, "01")
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
 
@@ -165,29 +172,30 @@ def test_a_file_is_known_to_be_cmus_also_where_its_fetch_was_killed_as_it_came(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", killed)
         with pytest.raises(KeyboardInterrupt):
-            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
-    *_, motion = fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url)
+            fetch(site, tmp_path, "01")
+    *_, motion = fetch(site, tmp_path, "01")
     assert motion.was_there
     assert was_fetched(motion.path, hashlib.sha256(AMC.encode()).hexdigest())
 
 
 def test_a_site_that_is_busy_is_asked_again(site: Site, tmp_path: Path) -> None:
     site.fail_times["/subjects/60/60.asf"] = 2
-    assert len(list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))) == 2
+    assert len(fetch(site, tmp_path, "01")) == 2
 
 
 def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Path) -> None:
     with pytest.raises(FetchError, match=r"60_77.amc: the site answers 404"):
-        list(fetch_cmu({"60": ["77"]}, tmp_path, base_url=site.url))
+        fetch(site, tmp_path, "77")
     site.files["/subjects/60/60_03.amc"] = b"<html>down for maintenance</html>"
     with pytest.raises(FetchError, match=r"60_03.amc did not send a motion file: this is a web page"):
-        list(fetch_cmu({"60": ["03"]}, tmp_path, base_url=site.url))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
+        fetch(site, tmp_path, "03")
+    assert names_in(tmp_path) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
     site.files["/search.php?subjectnumber=60"] = b"nothing"
     with pytest.raises(FetchError, match="lists no takes of subject 60; name them with --takes"):
-        list(fetch_cmu({"60": None}, tmp_path, base_url=site.url))
+        fetch(site, tmp_path)
+    site.url = "http://127.0.0.1:9"
     with pytest.raises(FetchError, match="the same command goes on from here"):
-        list(fetch_cmu({"60": ["01"]}, tmp_path / "new", base_url="http://127.0.0.1:9"))
+        fetch(site, tmp_path / "new", "01")
 
 
 @pytest.mark.parametrize("is_length_stated", [True, False])
@@ -195,13 +203,13 @@ def test_a_file_of_more_bytes_than_allowed_is_refused_also_where_no_length_is_st
     is_length_stated: bool, site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site.is_length_stated = is_length_stated
-    path, size = "/subjects/60/60_01.amc", len(AMC.encode())
-    assert download(site.url + path, max_bytes=size) == AMC.encode()
+    size = len(AMC.encode())
+    assert download(site.url + TAKE, max_bytes=size) == AMC.encode()
     with pytest.raises(FetchError, match=r"60_01\.amc is larger than"):
-        download(site.url + path, max_bytes=size - 1)
+        download(site.url + TAKE, max_bytes=size - 1)
     monkeypatch.setattr("flows.console.fetch._MAX_FILE_BYTES", len(ASF.encode()) - 1)
     with pytest.raises(FetchError, match=r"60\.asf is larger than"):
-        list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url))
+        fetch(site, tmp_path, "01")
 
 
 def test_no_message_has_words_of_the_answer(site: Site) -> None:
@@ -259,118 +267,87 @@ def test_a_site_that_leads_on_to_another_kind_of_address_is_not_followed(site: S
     assert follow(request, None, 302, "", Message(), "https://example.com/net.onnx") is not None
 
 
-def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        app, ["fetch", "cmu", "--subjects", "60", "--out", str(tmp_path), "--base-url", site.url], obj=Context()
-    )
-    assert result.exit_code == 0, result.output
-    assert "60_01.amc" in result.output
-    assert "3 files in" in result.output
-    assert "NSF EIA-0196217" in result.output
+def test_the_command_says_what_it_did(site: Site, tmp_path: Path, invoke: CommandLine) -> None:
+    out = invoke("fetch", "cmu", "--subjects", "60", "--out", tmp_path, "--base-url", site.url).out
+    for words in ("60_01.amc", "3 files in", "NSF EIA-0196217"):
+        assert words in out
 
 
-def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_path: Path) -> None:
+def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_path: Path, invoke: CommandLine) -> None:
     study = tmp_path / "mine.toml"
     study.write_text('[ingest.pairs.a]\nfolder = "cmu"\nsubjects = ["60"]\ntakes = ["02"]\n')
-    found = CliRunner().invoke(
-        app,
-        ["fetch", "cmu", "--study", str(study), "--out", str(tmp_path / "cmu"), "--base-url", site.url],
-        obj=Context(),
-    )
-    assert found.exit_code == 0, found.output
-    assert sorted(path.name for path in (tmp_path / "cmu").iterdir()) == [
-        "60.asf",
-        "60_02.amc",
-        "CMU.sha256",
-        "CREDITS.txt",
-    ]
+    invoke("fetch", "cmu", "--study", study, "--out", tmp_path / "cmu", "--base-url", site.url)
+    assert names_in(tmp_path / "cmu") == ["60.asf", "60_02.amc", "CMU.sha256", "CREDITS.txt"]
 
 
 def test_what_a_database_takes_is_said_before_it_is_agreed_to_and_done_then(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, invoke: CommandLine
 ) -> None:
     """A take has a megabyte, which comes in a second, and of which 0.6 MB are built in a second."""
     wanted, done = takes_of_study("everyday"), list[Any]()
-    count = sum(map(len, wanted.values()))
-    out, store = tmp_path / "cmu", tmp_path / "store"
+    count, out = sum(map(len, wanted.values())), tmp_path / "cmu"
     out.mkdir()
     for subject, takes in list(wanted.items())[:2]:
         (out / f"{subject}_{takes[0]}.amc").touch()
 
-    def fetch(takes: Any, folder: Path, *, base_url: str) -> list[Fetched]:
+    def note_fetch(takes: Any, folder: Path, *, base_url: str) -> list[Fetched]:
         done.append((takes, folder, base_url))
         return [Fetched(path=out / "02.asf", num_bytes=7, was_there=False)] * 3
 
-    monkeypatch.setattr(fetch_module, "fetch_cmu", fetch)
+    monkeypatch.setattr(fetch_module, "fetch_cmu", note_fetch)
     monkeypatch.setattr(
         fetch_module, "build_and_report", lambda run, where, as_json: done.append((run, where, as_json))
     )
-    command = [
-        "fetch",
-        "database",
-        "--out",
-        out,
-        "--store",
-        store,
-        "--base-url",
-        "http://127.0.0.1:9",
-        "--workers",
-        "1",
-    ]
-    said = call_in_process(capsys, *command)
-    assert said.code == 0
-    assert f"study everyday: {count} takes of CMU; about {count - 2} MB come into {out}, in" in said.out
-    assert f"in {(count - 2) / 60:.0f} minutes at 1 MB a second" in said.out
-    assert f"in some {count / 60:.0f} minutes of one core and has {0.6 * count:.0f} MB in {store}" in said.out
+    command = invoke.of("fetch", "database", "--out", out, "--base-url", "http://127.0.0.1:9", "--workers", "1")
+    said = command.at(store)().out
+    assert f"study everyday: {count} takes of CMU; about {count - 2} MB come into {out}, in" in said
+    assert f"in {(count - 2) / 60:.0f} minutes at 1 MB a second" in said
+    assert f"in some {count / 60:.0f} minutes of one core and has {0.6 * count:.0f} MB in {store}" in said
     assert done == []
-    said = call_in_process(capsys, *command, "--yes")
-    assert said.code == 0
-    assert f"3 files in {out}" in said.out
-    assert said.out.splitlines()[-1] == (
+    said = command.at(store)("--yes").out
+    assert f"3 files in {out}" in said
+    assert said.splitlines()[-1] == (
         f"now: pasdedeux reconstruct DIR --database projections:everyday --store {store} --out out"
     )
     (fetched, (run, where, as_json)) = done
     assert fetched == (wanted, out, "http://127.0.0.1:9")
-    assert (run.study.name, str(run.store), where.num_workers, as_json) == ("everyday", str(store), 1, False)
+    assert (run.study.name, run.store, where.num_workers, as_json) == ("everyday", store, 1, False)
     folders = {family["folder"] for family in run.study.resolved()["ingest"]["pairs"].values()}
     assert folders == {str(out.resolve())}
 
 
 def test_a_database_is_downloaded_and_built_where_that_was_agreed_to(
-    site: Site, data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    site: Site, store: Store, data_dir: Path, tmp_path: Path, invoke: CommandLine
 ) -> None:
     for subject, take in (("02", "03"), ("20", "11")):  # people with all bones: they become poses of the database
         for name in (f"{subject}.asf", f"{subject}_{take}.amc"):
             site.files[f"/subjects/{subject}/{name}"] = (data_dir / "cmu_asfamc" / name).read_bytes()
-    study, out, store = (tmp_path / name for name in ("mine.toml", 'it\'s "cmu"', "store"))
+    study, out = tmp_path / "mine.toml", tmp_path / 'it\'s "cmu"'
     study.write_text(
         '[study]\nname = "mine"\ntitle = "Mine"\nstages = ["ingest", "projections"]\n'
         "[ingest.virtual_video]\nnum_videos = 0\nnum_random_views = 0\n"
         '[ingest.pairs.a]\nfolder = "cmu"\nsubjects = ["02"]\ntakes = ["03"]\n'
         '[ingest.pairs.b]\nfolder = "cmu"\nsubjects = ["20"]\ntakes = ["11"]\n'
     )
-    command = ["fetch", "database", "--study", study, "--out", out, "--store", store, "--base-url", site.url]
-    said = call_in_process(capsys, *command)
-    assert (said.code, site.requests, out.exists()) == (0, [], False)
-    assert "study mine: 2 takes of CMU; about 2 MB come into" in said.out
-    assert "Free for all uses; the data itself may not be resold" in said.out
-    assert said.out.splitlines()[-1] == "nothing was done yet; add --yes to start"
+    command = invoke.of("fetch", "database", "--study", study, "--out", out, "--base-url", site.url).at(store)
+    said = command().out
+    assert (site.requests, out.exists()) == ([], False)
+    assert "study mine: 2 takes of CMU; about 2 MB come into" in said
+    assert "Free for all uses; the data itself may not be resold" in said
+    assert said.splitlines()[-1] == "nothing was done yet; add --yes to start"
     # Built here of the same files first, without Prefect: what the command builds has the same content and is there.
     elsewhere = tmp_path / "elsewhere"
     list(fetch_cmu({"02": ["03"], "20": ["11"]}, elsewhere, base_url=site.url))
-    built = build_here(study, store, *(f'ingest.pairs.{name}.folder="{elsewhere}"' for name in "ab"))
+    built = build_here(study, store.root, *(f'ingest.pairs.{name}.folder="{elsewhere}"' for name in "ab"))
     assert built == {"ingest": 2, "projections": 2}
-    said = call_in_process(capsys, *command, "--yes")
-    assert said.code == 0, said.err
-    assert sum(line.startswith("fetched") for line in said.out.splitlines()) == 4
-    assert "everything is fresh" in said.out
-    assert re.search(r"built: 2 takes \(\d+ s, [\d.]+ .B\), [\d,]+ database poses", said.out)
-    assert "--database projections:mine" in said.out.splitlines()[-1]
+    lines = command("--yes").out.splitlines()
+    assert sum(line.startswith("fetched") for line in lines) == 4
+    assert any("everything is fresh" in line for line in lines)
+    assert any(re.search(r"built: 2 takes \(\d+ s, [\d.]+ .B\), [\d,]+ database poses", line) for line in lines)
+    assert "--database projections:mine" in lines[-1]
     del site.files["/subjects/20/20_11.amc"]
     (out / "20_11.amc").unlink()
-    said = call_in_process(capsys, *command, "--yes")
-    assert said.code == 1
-    assert "20_11.amc: the site answers 404" in said.err
+    assert "20_11.amc: the site answers 404" in command("--yes", code=1).err
 
 
 def test_the_database_that_ships_has_people_with_a_partner_and_alone() -> None:

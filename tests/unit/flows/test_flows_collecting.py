@@ -34,6 +34,7 @@ from storage_schema import (
 )
 from storage_schema.unpacked import unpacked
 from tasks.shards import ClusterSettings, HerePool
+from tests.builders.command_line import CommandLine
 from tests.builders.storage_rows import commit_rows, list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, call, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
@@ -56,9 +57,14 @@ def study(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def store(tmp_path: Path, study: Path) -> Store:
+def gc(store: Store, invoke_toys: CommandLine) -> CommandLine:
+    """Return the command on the store, which takes what is of no use today."""
+    return invoke_toys.of("gc", "--days", "0").at(store)
+
+
+@pytest.fixture
+def store(store: Store, study: Path) -> Store:
     """Three runs of the toy study at three scales; the first is a dataset."""
-    store = Store(tmp_path / "store")
     run_toys(study, store.root)
     latest = read_latest(store, "toy")
     assert latest is not None
@@ -77,21 +83,17 @@ def test_unpacked_clips_go_when_nobody_used_them_for_so_long(
         unpacked(digit * 64, lambda writer: writer.append("positions", rows) and None).folder for digit in "ab"
     )
     (tmp_path / "cache" / "unpacked" / "notes").mkdir()
-    os.utime(old, (NOW_S - 8 * 86400,) * 2)
-    os.utime(used, (NOW_S - 8 * 86400,) * 2)
+    for folder in (old, used):
+        os.utime(folder, (NOW_S - 8 * 86400,) * 2)
     assert unpacked("a" * 64, lambda writer: None).folder == used
     since = datetime.fromtimestamp(NOW_S - 86400, UTC)
     found = find_garbage(store, since)
     assert (list(found.kept_clips), list(found.going_clips)) == ([used], [old])
-    assert found.going_clips[old] == sum(files(old).values()) > rows.nbytes
-    assert found.num_bytes >= found.going_clips[old]
+    assert found.num_bytes >= found.going_clips[old] == sum(files(old).values()) > rows.nbytes
     assert used.is_dir()
     assert old.is_dir(), "nothing goes before it is asked for"
     collect(store, since)
-    assert sorted(path.name for path in (tmp_path / "cache" / "unpacked").iterdir() if path.is_dir()) == [
-        used.name,
-        "notes",
-    ]
+    assert {path.name for path in old.parent.iterdir() if path.is_dir()} == {used.name, "notes"}
 
 
 def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_goes(store: Store, study: Path) -> None:
@@ -114,10 +116,10 @@ def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_g
     assert collect(store, NOW).num_bytes == 0
 
 
-def test_a_damaged_record_of_a_run_hinders_neither_gc_nor_new_datasets(store: Store) -> None:
+def test_a_damaged_record_of_a_run_hinders_neither_gc_nor_new_datasets(store: Store, invoke_toys: CommandLine) -> None:
     (list_runs(store)[0].path / "run.json").write_text("[]")
     assert find_garbage(store, NOW).num_datasets == 1
-    assert call("dataset", "create", "again", "--study", "toy", "--store", str(store)) == 0
+    invoke_toys("dataset", "create", "again", "--study", "toy", "--store", store)
 
 
 def test_what_a_dataset_of_an_older_schema_names_stays(store: Store) -> None:
@@ -173,17 +175,15 @@ def test_what_runs_and_writers_of_the_last_days_left_stays(store: Store) -> None
 
 
 def test_a_dry_run_is_the_default_removes_nothing_and_counts_the_bytes_that_yes_frees(
-    store: Store, capsys: pytest.CaptureFixture[str]
+    store: Store, gc: CommandLine
 ) -> None:
     before = files(store.root)
-    assert call("gc", "--store", str(store.root), "--days", "0") == 0
-    out = capsys.readouterr().out
-    assert "nothing was removed; --yes removes" in out
-    assert [line.split()[0] for line in out.splitlines()[2:-1]] == ["aside", "bend", "grow", "judge", "runs", "all"]
-    assert call("gc", "--store", str(store.root), "--days", "0", "--json") == 0
-    described = json.loads(capsys.readouterr().out)
+    lines = gc().out.splitlines()
+    assert "nothing was removed; --yes removes" in lines[-1]
+    assert [line.split()[0] for line in lines[2:-1]] == ["aside", "bend", "grow", "judge", "runs", "all"]
+    described = gc("--json").json
     assert files(store.root) == before
-    assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 0
+    gc("--yes")
     after = {name: size for name, size in files(store.root).items() if not name.endswith(".lock")}
     assert set(after) < set(before)
     assert sum(before.values()) - sum(after.values()) == described["stages"]["all"]["bytes_going"]
@@ -192,7 +192,7 @@ def test_a_dry_run_is_the_default_removes_nothing_and_counts_the_bytes_that_yes_
 
 
 def test_a_damaged_manifest_that_nothing_needs_goes_and_a_record_that_cannot_be_read_stops_everything(
-    store: Store,
+    store: Store, gc: CommandLine
 ) -> None:
     stray = commit_rows(store)
     (store.folder(stray.stage, stray.key) / "manifest.json").write_text("{")
@@ -200,7 +200,7 @@ def test_a_damaged_manifest_that_nothing_needs_goes_and_a_record_that_cannot_be_
     assert not store.folder(stray.stage, stray.key).exists()
     before = files(store.root)
     (store.root / "runs" / "latest" / "toy.json").write_text("{")
-    assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
+    gc("--yes", code=1)
     assert set(files(store.root)) == set(before)
 
 
@@ -242,12 +242,9 @@ def running(store: Store) -> Iterator[Path]:
     process.wait()
 
 
-def test_nothing_is_removed_while_a_run_is_in_progress(
-    store: Store, running: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_removed_while_a_run_is_in_progress(store: Store, running: Path, gc: CommandLine) -> None:
     before = files(store.root)
-    assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
-    assert f"run {running.name} is in progress" in capsys.readouterr().err
+    assert f"run {running.name} is in progress" in gc("--yes", code=1).err
     assert before.keys() == files(store.root).keys() - {"runs/.in_use.lock"}
     values = json.loads((running / "run.json").read_text())
     (running / "run.json").write_text(json.dumps({**values, "host": "elsewhere", "pid": 1}))
@@ -258,14 +255,13 @@ def test_nothing_is_removed_while_a_run_is_in_progress(
 
 
 def test_nothing_is_removed_while_a_run_is_planned_and_a_run_waits_for_the_end_of_removing(
-    store: Store, study: Path, capsys: pytest.CaptureFixture[str]
+    store: Store, study: Path, gc: CommandLine
 ) -> None:
     with in_use(store), in_use(store):
-        assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
-    assert "a run plans or builds in the store" in capsys.readouterr().err
-    line = ("run", str(study), "--store", str(store.root), "--set", "grow.scale=3.0", "--workers", "0")
+        assert "a run plans or builds in the store" in gc("--yes", code=1).err
     codes: list[int] = []
-    run = threading.Thread(target=lambda: codes.append(call(*line)))
+    words = ("run", str(study), "--store", str(store), "--set", "grow.scale=3.0", "--workers", "0")
+    run = threading.Thread(target=lambda: codes.append(call(*words)))
     with in_use(store, alone=True):
         run.start()
         run.join(0.5)
@@ -274,7 +270,6 @@ def test_nothing_is_removed_while_a_run_is_planned_and_a_run_waits_for_the_end_o
     assert codes == [0]
 
 
-def test_a_store_that_is_not_there_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("gc", "--store", str(tmp_path / "typo"), "--yes") == 2
-    assert "there is no store in" in capsys.readouterr().err
+def test_a_store_that_is_not_there_is_said(tmp_path: Path, invoke_toys: CommandLine) -> None:
+    assert "there is no store in" in invoke_toys.at(tmp_path / "typo").refusal("gc", "--yes")
     assert not (tmp_path / "typo").exists()

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.console.app import run_command_line
 from flows.console.display import cost_lines, duration_text, size_text
 from flows.costs import DISPATCH_S, OVERHEAD_S, Cost, Job, Work, estimate_cost, planned_work
 from flows.planning import PlanError
 from storage_schema import Store
+from tests.builders.command_line import CommandLine
 from tests.builders.toy_runs import plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -99,14 +99,13 @@ def test_a_new_shard_takes_what_others_of_its_stage_took(tmp_path: Path) -> None
     assert more.num_measured == 7
 
 
-def test_what_only_a_cost_knows_is_refused_without_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study, store = str(write_study(tmp_path)), str(tmp_path / "store")
-    assert run_command_line(["plan", study, "--store", store, "--workers", "9"], graph=TOYS) == 2
-    assert "--measured are for --cost; give that too" in capsys.readouterr().err
-    run_toys(Path(study), Path(store))
-    command = ["plan", study, "--store", str(tmp_path / "new"), "--measured", store, "--cost", "--workers", "2"]
-    assert run_command_line(command, graph=TOYS) == 0
-    assert "14 shards" in capsys.readouterr().out
+def test_what_only_a_cost_knows_is_refused_without_one(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
+    study = write_study(tmp_path)
+    said = invoke_toys.refusal("plan", study, "--store", store, "--workers", "9")
+    assert "--measured are for --cost; give that too" in said
+    run_toys(study, store.root)
+    plan = invoke_toys.of("plan", study).at(tmp_path / "new")
+    assert "14 shards" in plan("--measured", store, "--cost", "--workers", "2").out
 
 
 def test_a_cost_is_a_table_and_says_what_it_rests_on() -> None:

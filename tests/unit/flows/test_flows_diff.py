@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from flows.planning import StageSelection
 from flows.reasons import MAX_CHARACTERS, shorten_text
-from tests.builders.toy_runs import call, run_toys, write_study
+from storage_schema import Store
+from tests.builders.command_line import CommandLine
+from tests.builders.toy_runs import run_toys, write_study
 
 
 @pytest.fixture
@@ -29,12 +31,14 @@ def runs(tmp_path: Path) -> list[str]:
     return found
 
 
-def test_two_runs_differ_by_what_was_changed_between_them(
-    runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = ("diff", *runs, "--store", str(tmp_path / "store"))
-    assert call(*line, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+@pytest.fixture
+def toys(store: Store, invoke_toys: CommandLine) -> CommandLine:
+    """Return the commands on the store."""
+    return invoke_toys.at(store)
+
+
+def test_two_runs_differ_by_what_was_changed_between_them(runs: list[str], toys: CommandLine) -> None:
+    found = toys("diff", *runs, "--json").json
     assert found["parameters"] == {"grow.num_takes": {"a": "2", "b": "3"}, "grow.scale": {"a": "1.0", "b": "2.0"}}
     assert list(found["environment"]) == ["packages.numpy"]
     assert {name.split()[-1] for name in found["files"]} == {"source.txt"}
@@ -44,47 +48,31 @@ def test_two_runs_differ_by_what_was_changed_between_them(
     assert (score["metric"], score["at"], found["num_scores"]) == ("total", None, 1)
     assert score["a"] != score["b"]
 
-    assert call(*line) == 0
-    out = capsys.readouterr().out
-    assert "parameters: 2 differ\n" in out
-    assert "environment: 1 differs\n" in out
-    assert "scores: 1 of 1 differ" in out
+    out = toys("diff", *runs).out
+    for words in ("parameters: 2 differ\n", "environment: 1 differs\n", "scores: 1 of 1 differ"):
+        assert words in out
     assert [len(line.split()) for line in out.splitlines() if line.startswith("  grow.scale")] == [3]
     assert max(map(len, out.splitlines())) < 120
 
 
 def test_a_run_of_a_part_has_the_licences_of_all_that_the_part_was_computed_from(
-    runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    runs: list[str], tmp_path: Path, toys: CommandLine
 ) -> None:
     part = StageSelection(only=("bend",), force=("bend",))
     settings = ("bend.step=1", f"grow.source={tmp_path / 'source.txt'}", "grow.num_takes=3", "grow.scale=2.0")
     last = run_toys(tmp_path / "toy.toml", tmp_path / "store", *settings, selection=part).run_id
-    assert call("diff", runs[1], last, "--store", str(tmp_path / "store"), "--json") == 0
-    assert json.loads(capsys.readouterr().out)["licences"] == {}
+    assert toys("diff", runs[1], last, "--json").json["licences"] == {}
 
 
-def test_a_dataset_differs_from_an_older_run_as_its_own_run_does(
-    runs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store = ("--store", str(tmp_path / "store"))
-    assert call("dataset", "create", "last", "--study", "toy", *store) == 0
-    assert call("diff", "last@1", "last", *store) == 2
-    assert "there is no run 'last'" in capsys.readouterr().err
-    answers = []
-    for name in ("last@1", runs[1]):
-        assert call("diff", runs[0], name, *store, "--json") == 0
-        answers.append(json.loads(capsys.readouterr().out))
-    assert answers[0]["b"] == "last@1"
-    assert answers[0] == {**answers[1], "b": "last@1"}
-    assert call("diff", runs[1], "last@1", *store) == 0
-    out = capsys.readouterr().out
-    for words in (
-        "parameters: nothing differs",
-        "environment: nothing differs",
-        "files: nothing differs",
-        "scores: 0 of",
-    ):
-        assert words in out
+def test_a_dataset_differs_from_an_older_run_as_its_own_run_does(runs: list[str], toys: CommandLine) -> None:
+    toys("dataset", "create", "last", "--study", "toy")
+    assert "there is no run 'last'" in toys.refusal("diff", "last@1", "last")
+    of_dataset, of_run = (toys("diff", runs[0], name, "--json").json for name in ("last@1", runs[1]))
+    assert of_dataset == {**of_run, "b": "last@1"}
+    out = toys("diff", runs[1], "last@1").out
+    for name in ("parameters", "environment", "files"):
+        assert f"{name}: nothing differs" in out
+    assert "scores: 0 of" in out
 
 
 @given(st.text(max_size=3 * MAX_CHARACTERS))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import itertools
 import os
-import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -50,8 +49,8 @@ from tasks.shards import (
 )
 from tasks.shards.profiles import ClusterProfile
 from tasks.stage import EarlyPlan, Parameters, Shard
-from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, wait_until, write_study
-from tests.builders.toys import TOYS
+from tests.builders.toy_runs import STUDY, computed, digests, plan_toys, run_toys, wait_until, write_study
+from tests.builders.toys import TOYS, toys_with
 
 
 class Workers(HereClient):
@@ -102,13 +101,9 @@ class ManyWorkers(HerePool):
     """
 
     def __init__(
-        self,
-        store: Path,
-        num_workers: int = 1,
-        order: list[int] | None = None,
-        fail: frozenset[str] = frozenset(),
+        self, store: Path, num_workers: int = 1, order: Sequence[int] = (), fail: frozenset[str] = frozenset()
     ) -> None:
-        self.workers = Workers(num_workers, list(order or []), fail)
+        self.workers = Workers(num_workers, list(order), fail)
         super().__init__(str(store), self.workers)
         self.num_workers = num_workers
 
@@ -205,10 +200,9 @@ def test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_th
         assert digests(store) == digests(undisturbed)
 
 
-def test_ctrl_c_ends_the_run_also_where_what_it_raises_is_lost(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_also_where_what_it_raises_is_lost(store: Store, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run_toys(write_study(tmp_path), tmp_path / "store", pool=Deaf(str(tmp_path / "store")))
-    store = Store(tmp_path / "store")
+        run_toys(write_study(tmp_path), store.root, pool=Deaf(str(store)))
     assert len(list(store.artifacts())) == 1, "what was in work was kept, and nothing begun after it"
     assert [run["status"] for run in describe_runs(store)] == ["interrupted"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -229,7 +223,7 @@ def test_ctrl_c_breaks_off_what_the_run_waits_for(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: list[str] = []
 
@@ -241,14 +235,11 @@ def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
     def refuse(*_: object) -> None:
         raise FullDisk("no room")
 
-    stages = tuple(replace(one, run_shard=find_no_room) if one.name == "grow" else one for one in TOYS.stages)
     with pytest.raises(ShardError, match=r"^stage grow, t0, shard s0: no room$"):
-        run_toys(write_study(tmp_path), tmp_path / "store", graph=Graph(stages))
+        run_toys(write_study(tmp_path), store.root, graph=toys_with("grow", run_shard=find_no_room))
     assert tried == ["grow t0 s0"]
-    store = Store(tmp_path / "store")
-    assert [one["status"] for one in describe_runs(store)] == ["failed"]
     (store.root / "runs" / "20200101T000000-damaged-000000").mkdir()
-    assert [one["status"] for one in describe_runs(store)] == ["failed"], "a run without a record hides no other"
+    assert [run["status"] for run in describe_runs(store)] == ["failed"], "a run without a record hides no other"
 
 
 @pytest.mark.parametrize("is_on_cluster", [False, True])
@@ -271,9 +262,8 @@ def test_a_thousand_shards_one_after_the_other_fail_as_one(
 
 
 def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
     pool = ManyWorkers(tmp_path / "store", num_workers=2)
-    run_toys(study, tmp_path / "store", "grow.num_takes=1", pool=pool)
+    run_toys(write_study(tmp_path), tmp_path / "store", "grow.num_takes=1", pool=pool)
     began = pool.started
     assert began[:2] == ["grow t0 s0", "aside aside all"]
     assert began.index("bend t0 s0") < began.index("grow t0 s2"), "of a stage that cannot be planned yet"
@@ -308,17 +298,13 @@ def test_a_task_is_a_stage_that_shows_its_partitions_one_of_which_may_follow_oth
         last = replace(shards[0], partition="a-last", after=tuple(shard.key for shard in shards))
         return [last, *shards]
 
-    stages = tuple(replace(one, plan=plan_linked) if one.name == "grow" else one for one in TOYS.stages)
-    pool, tasks, shown = execute_shown(tmp_path, Graph(stages), "grow.num_takes=3", "grow.num_segments=2")
+    linked = toys_with("grow", plan=plan_linked)
+    pool, tasks, shown = execute_shown(tmp_path, linked, "grow.num_takes=3", "grow.num_segments=2")
     assert list(tasks) == ["grow"]
     assert tasks["grow"].exception() is None
     assert pool.started[-1] == "grow a-last s0"
-    assert {count.partition: (count.num_shards, count.num_computed) for count in shown["grow"]} == {
-        "t0": (2, 2),
-        "t1": (2, 2),
-        "t2": (2, 2),
-        "a-last": (1, 1),
-    }
+    counts = {count.partition: (count.num_shards, count.num_computed) for count in shown["grow"]}
+    assert counts == {"t0": (2, 2), "t1": (2, 2), "t2": (2, 2), "a-last": (1, 1)}
 
 
 def test_the_task_of_a_stage_fails_as_the_stage_does(tmp_path: Path) -> None:
@@ -351,21 +337,16 @@ def test_tasks_end_also_where_shards_cannot_be_cancelled(tmp_path: Path) -> None
         tasks.append(Thread(target=do, daemon=True))
         tasks[-1].start()
 
-    chosen, graph = load_study(str(write_study(tmp_path)), TOYS, environment={})
-    run = Run(chosen, graph, Store(tmp_path / "store"))
-    plan, pool = make_plan(chosen, graph, run.store), Unreachable(tmp_path / "store", fail=frozenset({"grow t1 s2"}))
+    pool = Unreachable(tmp_path / "store", fail=frozenset({"grow t1 s2"}))
     with pytest.raises(OSError, match="nobody answers"):
-        execute(run, begin(run, plan), plan, pool, start)
+        build(tmp_path, pool, start)
     for task in tasks:
         task.join(timeout=10.0)
     assert [task.is_alive() for task in tasks] == [False] * 3
 
 
 def test_a_stage_whose_task_is_never_begun_is_built_all_the_same(undisturbed: Path, tmp_path: Path) -> None:
-    chosen, graph = load_study(str(write_study(tmp_path)), TOYS, environment={})
-    run = Run(chosen, graph, Store(tmp_path / "store"))
-    plan = make_plan(chosen, graph, run.store)
-    execute(run, begin(run, plan), plan, HerePool(str(tmp_path / "store")), lambda stage, follow: None)
+    build(tmp_path, HerePool(str(tmp_path / "store")), lambda stage, follow: None)
     assert digests(tmp_path / "store") == digests(undisturbed)
 
 
@@ -382,54 +363,48 @@ def test_what_was_begun_early_counts_as_computed_and_is_told_once(tmp_path: Path
         def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
             told.append(f"{plan.stage.name} whole")
 
-    outcome = run_with(tmp_path, Told())
+    outcome = build(tmp_path, ManyWorkers(tmp_path / "store", num_workers=3), listener=Told())
     assert sorted(told) == sorted(
         [*EVERYBODY, *(f"{n} whole" for n in TOYS.names), "aside has 1", "bend has 6", "grow has 6", "judge has 1"]
     )
     assert told.index("bend t0 s0") < told.index("bend has 6")
-    assert {stage.name: stage.num_computed for stage in outcome.stages} == {
-        "grow": 6,
-        "bend": 6,
-        "aside": 1,
-        "judge": 1,
-    }
+    assert computed(outcome) == {"grow": 6, "bend": 6, "aside": 1, "judge": 1}
 
 
-def run_with(folder: Path, listener: Listener, text: str = STUDY) -> Outcome:
+def build(
+    folder: Path, pool: Pool, start: Any = None, *, listener: Listener | None = None, text: str = STUDY
+) -> Outcome:
+    """Build the toy study, and tell a listener of it."""
     chosen, graph = load_study(str(write_study(folder, text)), TOYS, environment={})
-    run = Run(chosen, graph, Store(folder / "store"), listener=listener)
+    run = Run(chosen, graph, Store(folder / "store"), listener=listener or Listener())
     plan = make_plan(chosen, graph, run.store)
-    return execute(run, begin(run, plan), plan, ManyWorkers(folder / "store", num_workers=3))
+    return execute(run, begin(run, plan), plan, pool, start)
 
 
 def test_an_early_shard_is_no_work_for_a_stage_that_is_forced(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
-    run_toys(study, tmp_path / "store")
-    forced = run_toys(
-        study, tmp_path / "store", selection=StageSelection(force=("grow",)), pool=ManyWorkers(tmp_path / "store", 3)
-    )
-    assert {stage.name: stage.num_computed for stage in forced.stages} == {"grow": 6, "bend": 0, "aside": 0, "judge": 0}
-    assert plan_toys(study, tmp_path / "store").is_fresh
+    study, store, forced = write_study(tmp_path), tmp_path / "store", StageSelection(force=("grow",))
+    run_toys(study, store)
+    assert computed(run_toys(study, store, selection=forced, pool=ManyWorkers(store, 3))) == {"grow": 6}
+    assert plan_toys(study, store).is_fresh
 
 
 def test_a_stage_that_cannot_be_planned_leaves_others_their_work(tmp_path: Path) -> None:
     study = write_study(tmp_path)
-    plan = plan_toys(study, tmp_path / "store")
-    assert plan.stage("bend").is_pending
+    assert plan_toys(study, tmp_path / "store").stage("bend").is_pending
 
     def refuse(*_: object) -> list[Shard]:
         raise InputError("bend: no")
 
-    stages = tuple(replace(one, plan=refuse, early=()) if one.name == "bend" else one for one in TOYS.stages)
     with pytest.raises(InputError, match="bend: no"):
-        run_toys(study, tmp_path / "store", graph=Graph(stages))
+        run_toys(study, tmp_path / "store", graph=toys_with("bend", plan=refuse, early=()))
     assert {name.split()[0] for name in names(tmp_path / "store")} == {"grow", "aside"}
 
 
 def test_a_stage_of_which_an_early_shard_failed_is_planned_and_its_other_shards_are_computed(tmp_path: Path) -> None:
-    bend = TOYS.stage("bend")
-    some = EarlyPlan(lambda *given: [one for one in bend.plan(*given) if one.name == "s0"], each=("training_log",))
-    graph = Graph(tuple(replace(one, early=(some,)) if one is bend else one for one in TOYS.stages))
+    def plan_first(*given: Any) -> list[Shard]:
+        return [shard for shard in TOYS.stage("bend").plan(*given) if shard.name == "s0"]
+
+    graph = toys_with("bend", early=(EarlyPlan(plan_first, each=("training_log",)),))
     pool = ManyWorkers(tmp_path / "store", fail=frozenset({"bend t0 s0"}))
     with pytest.raises(ShardError, match=r"^stage bend, t0, shard s0: broken$"):
         run_toys(write_study(tmp_path), tmp_path / "store", graph=graph, pool=pool)
@@ -468,23 +443,6 @@ def test_a_clock_that_jumps_changes_times_and_nothing_else(
     assert len(years) > 1, "the clock did jump"
 
 
-@pytest.mark.parametrize("damage", ["truncated", "removed", "without a manifest"])
-def test_a_damaged_part_is_computed_again_and_nothing_else(undisturbed: Path, tmp_path: Path, damage: str) -> None:
-    study, store = write_study(tmp_path), tmp_path / "store"
-    run_toys(study, store)
-    part = next(store.glob("bend/*/*/models.parquet"))
-    match damage:
-        case "truncated":
-            part.write_bytes(part.read_bytes()[:-1])
-        case "removed":
-            shutil.rmtree(part.parent)
-        case _:
-            (part.parent / "manifest.json").unlink()
-    assert {one.name: one.num_computed for one in run_toys(study, store).stages if one.num_computed} == {"bend": 1}
-    assert digests(store) == digests(undisturbed)
-    assert verify(Store(store)).is_ok
-
-
 def flip(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -499,8 +457,7 @@ def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_co
     assert plan_toys(study, store).is_fresh
     with pytest.raises(ShardError, match=r"; bend@\w{12} is damaged and was removed, the same command"):
         run_toys(study, store, "judge.title=again")
-    found = run_toys(study, store, "judge.title=again")
-    assert {one.name: one.num_computed for one in found.stages if one.num_computed} == {"bend": 1, "judge": 1}
+    assert computed(run_toys(study, store, "judge.title=again")) == {"bend": 1, "judge": 1}
     assert digests(store)["bend"] == before
     assert verify(Store(store)).is_ok
 
@@ -521,15 +478,14 @@ def test_what_cannot_be_read_for_a_moment_stays(tmp_path: Path, monkeypatch: pyt
     assert run_toys(study, store, "judge.title=again").num_computed == 1
 
 
-def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(tmp_path: Path) -> None:
-    study, store = write_study(tmp_path), tmp_path / "store"
-    run_toys(study, store)
-    create_dataset(Store(store), "toys", [one.ref for one in Store(store).artifacts()])
-    flip(next(store.glob("bend/*/*/models.parquet")))
-    problems = verify(Store(store)).problems
-    assert [(problem.stage, problem.file_name) for problem in problems] == [("bend", "models.parquet")]
-    run_toys(study, store, selection=StageSelection(force=("bend",)))
-    assert verify(Store(store)).is_ok
+def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(store: Store, tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    run_toys(study, store.root)
+    create_dataset(store, "toys", [manifest.ref for manifest in store.artifacts()])
+    flip(next(store.root.glob("bend/*/*/models.parquet")))
+    assert [(problem.stage, problem.file_name) for problem in verify(store).problems] == [("bend", "models.parquet")]
+    run_toys(study, store.root, selection=StageSelection(force=("bend",)))
+    assert verify(store).is_ok
 
 
 def test_how_far_a_run_is_counts_every_shard_and_what_is_left_shrinks_to_nothing(tmp_path: Path) -> None:
@@ -541,13 +497,13 @@ def test_how_far_a_run_is_counts_every_shard_and_what_is_left_shrinks_to_nothing
             self.kept.append(progress)
 
     first, second = Kept(), Kept()
-    fine = f"{STUDY}[bend]\nstep = 1\n"
-    run_with(tmp_path, first, fine)
-    run_with(tmp_path, second, f"{fine}[grow]\nscale = 2.0\n[aside]\nsize = 3\n")
-    for kept in (first.kept, second.kept):
-        assert [one.num_done for one in kept] == list(range(len(EVERYBODY) + 1))
-        assert all(one.running for one in kept[:-1])
-        assert (kept[-1].num_shards, kept[-1].running, kept[-1].left_s) == (len(EVERYBODY), (), 0.0)
+    for listener, sections in ((first, ""), (second, "[grow]\nscale = 2.0\n[aside]\nsize = 3\n")):
+        text, pool = f"{STUDY}[bend]\nstep = 1\n{sections}", ManyWorkers(tmp_path / "store", num_workers=3)
+        build(tmp_path, pool, listener=listener, text=text)
+        *under_way, last = listener.kept
+        assert [progress.num_done for progress in listener.kept] == list(range(len(EVERYBODY) + 1))
+        assert all(progress.running for progress in under_way)
+        assert (last.num_shards, last.running, last.left_s) == (len(EVERYBODY), (), 0.0)
     assert not first.kept[0].is_all, "nothing is known of what was never built"
     assert all(one.is_all and one.num_shards == len(EVERYBODY) and one.left_s > 0 for one in second.kept[:-1])
 
@@ -560,12 +516,12 @@ def test_what_is_left_is_told_by_what_ended_and_by_what_a_stage_had_that_cannot_
     for priority, shard in enumerate([*grow, early]):
         tally.add(shard, priority)
     at_fault = ShardError("stage grow, a, shard s2", "InputError", "no")
-    tally.end(ShardFailed(grow[2], at_fault))
-    tally.end(ShardFailed(grow[3], at_fault))
+    for shard in grow[2:4]:
+        tally.end(ShardFailed(shard, at_fault))
     for shard, seconds in ((grow[0], 2.0), (grow[1], 4.0), (early, 10.0)):
         tally.end(ShardDone(shard, ArtifactRef(shard.stage, shard.key, "0" * 64), seconds))
-    (bend,) = (stage for stage in TOYS.stages if stage.name == "bend")
-    waiting = StagePlan(bend, is_selected=True, pending_on=("grow",), last_partitions=(("a", 3), ("b", 4)))
+    last_partitions = (("a", 3), ("b", 4))
+    waiting = StagePlan(TOYS.stage("bend"), is_selected=True, pending_on=("grow",), last_partitions=last_partitions)
     found = tally.progress([waiting], 2)
     assert (found.num_done, found.num_shards) == (4, 4 + 2 + 6)
     assert (found.left_s, found.is_all) == ((2 * 3.0 + 6 * 10.0) / 2, True)
@@ -574,38 +530,36 @@ def test_what_is_left_is_told_by_what_ended_and_by_what_a_stage_had_that_cannot_
     assert tally.partitions("grow") == [PartitionCount("a", 5, 2, 2, 6.0), PartitionCount("b", 1)]
 
 
-def test_the_same_line_is_printed_less_and_less_often(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
+    """Let silence be broken soon; return what waits for words and gives all that was said by then."""
     for name, seconds in (("_SILENCE_S", 0.05), ("_LOOK_UP_S", 0.01)):
         monkeypatch.setattr(f"flows.console.display.{name}", seconds)
+    lines: list[str] = []
+
+    def wait_for(words: str) -> str:
+        wait_until(lambda: lines.append(capsys.readouterr().err) or words in "".join(lines), words)
+        return "".join(lines)
+
+    return wait_for
+
+
+def test_the_same_line_is_printed_less_and_less_often(said: Callable[[str], str]) -> None:
     listener = LineListener()
     listener.progressed(Progress(1, 9, [], 0.0, is_all=True))
     time.sleep(1.5)
     listener.progressed(Progress(2, 9, [], 0.0, is_all=True))
-    said: list[str] = []
-    wait_until(lambda: said.append(capsys.readouterr().err) or "2 of 9" in "".join(said), "what is new")
+    num_lines = said("2 of 9").count("1 of 9 shards")
     listener.close()
-    assert 1 <= "".join(said).count("1 of 9 shards") <= 6, "0.05, 0.1, 0.2, 0.4 and 0.8 s apart, not 30 times"
+    assert 1 <= num_lines <= 6, "0.05, 0.1, 0.2, 0.4 and 0.8 s apart, not 30 times"
 
 
-def test_silence_is_broken_with_how_far_the_run_is(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, seconds in (("_SILENCE_S", 0.1), ("_LOOK_UP_S", 0.02)):
-        monkeypatch.setattr(f"flows.console.display.{name}", seconds)
+def test_silence_is_broken_with_how_far_the_run_is(said: Callable[[str], str]) -> None:
     listener = LineListener()
     shard = Shard("chains", 1, "ic", "seed0", Parameters())
     listener.progressed(Progress(12, 45, [shard], 200.0, is_all=True))
-    said: list[str] = []
-
-    def is_said() -> bool:
-        said.append(capsys.readouterr().err)
-        return "left" in "".join(said)
-
-    wait_until(is_said, "a line")
+    assert "12 of 45 shards, computing chains ic seed0; about 3 min 20 s left" in said("left")
     listener.close()
-    assert "12 of 45 shards, computing chains ic seed0; about 3 min 20 s left" in "".join(said)
     assert progress_text(Progress(1, 1, [], 0.0, is_all=True)) == "1 of 1 shard"
     video = Shard("reconstruction", 1, "video00", "video00", Parameters())
     assert progress_text(Progress(0, 1, [video], 0.2, is_all=False)) == "0 of 1 shard, computing reconstruction video00"
@@ -615,7 +569,7 @@ def test_silence_is_broken_with_how_far_the_run_is(
 
 
 @pytest.mark.parametrize(
-    ("told", "said"),
+    ("options", "words"),
     [
         ({"num_workers": 0}, []),
         ({"num_workers": 1, "memory_bytes": 1}, ["starting 1 local worker"]),
@@ -627,14 +581,14 @@ def test_silence_is_broken_with_how_far_the_run_is(
     ],
 )
 def test_who_computes_is_said_before_it_is_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: dict[str, Any], said: list[str]
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any], words: list[str]
 ) -> None:
     notes: list[str] = []
     connected: list[tuple[ClusterSettings, str]] = []
 
     @contextmanager
     def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Any]:
-        assert notes == said
+        assert notes == words
         connected.append((settings, store_root))
         yield SimpleNamespace(scheduler_info=lambda **_: {"workers": {"a": {}}}, run_on_scheduler=lambda *_: [])
 
@@ -645,9 +599,9 @@ def test_who_computes_is_said_before_it_is_waited_for(
     chosen, stages = load_study(str(write_study(tmp_path)), TOYS, environment={})
     listener = Listener()
     listener.note = notes.append  # type: ignore[method-assign]
-    settings = ClusterSettings(**told)
-    with open_pool(Run(chosen, stages, Store(tmp_path / "store"), listener=listener), settings) as pool:
-        assert isinstance(pool, ClusterPool) is bool(said)
-        assert os.environ["TOY_THREADS"] == ("9" if said else "1"), "who computes here has the threads of a worker"
-    assert connected == [(settings, str(tmp_path / "store"))] * bool(said)
-    assert (tmp_path / "store").is_dir()
+    settings = ClusterSettings(**options)
+    with open_pool(Run(chosen, stages, store, listener=listener), settings) as pool:
+        assert isinstance(pool, ClusterPool) is bool(words)
+        assert os.environ["TOY_THREADS"] == ("9" if words else "1"), "who computes here has the threads of a worker"
+    assert connected == [(settings, str(store))] * bool(words)
+    assert store.root.is_dir()

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.console.app import run_command_line
 from flows.console.live import STOP_NAME, FollowedFile, follow_folder, follow_lines, list_frames
 from flows.signals import ENDING, ended_as_by_ctrl_c, remembered_ctrl_c
 from pasdedeux.kinematics import forward_kinematics
@@ -28,6 +27,7 @@ from pasdedeux.skeletons import OP14, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import Store
 from tasks.projections import read_database
+from tests.builders.command_line import CommandLine
 from tests.builders.walkers_on_video import build_store, reference, write_walkers
 
 FRAMES = 75
@@ -57,13 +57,13 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 def test_files_being_written_by_another_process_become_lines_in_order(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, store: Store, tmp_path: Path, invoke: CommandLine
 ) -> None:
     folder, out = tmp_path / "live", tmp_path / "lines" / "poses.jsonl"
     folder.mkdir()
+    follow = invoke.of("reconstruct", folder, *reference(store), "--follow", "--out", out)
     with subprocess.Popen([sys.executable, "-c", WRITER, str(video), str(folder)]) as writer:
-        command = ["reconstruct", str(folder), *reference(store), "--follow", "--out", str(out)]
-        assert run_command_line([*command, "--idle", "60", "--lag", "3"]) == 0
+        said = follow("--idle", "60", "--lag", "3").err
     assert writer.returncode == 0
     _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     for person in (0, 1):
@@ -71,17 +71,16 @@ def test_files_being_written_by_another_process_become_lines_in_order(
         assert [line["frame"] for line in own] == list(range(FRAMES))
         steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
         assert steps.max() < 0.25
-    said = capsys.readouterr().err
     assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
 
 
 def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, store: Store, tmp_path: Path, invoke: CommandLine
 ) -> None:
     out = tmp_path / "lines"
-    command = ["reconstruct", str(video), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
-    assert run_command_line([*command, "--stature", "1=1.5", "--stature", "1.9", "--stature", "7=1.2"]) == 0
-    assert "a stature is stated for person 7, who never appeared" in capsys.readouterr().err
+    statures = ("--stature", "1=1.5", "--stature", "1.9", "--stature", "7=1.2")
+    said = invoke("reconstruct", video, *reference(store), "--follow", "--idle", "0", "--out", out, *statures).err
+    assert "a stature is stated for person 7, who never appeared" in said
     head, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     assert (head["unit"], head["rate_hz"], head["joint_names"][head["parents"].index(-1)]) == ("m", 30.0, "Hips")
     skeleton = Skeleton("live", tuple(head["joint_names"]), tuple(head["parents"]))

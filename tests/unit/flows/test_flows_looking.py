@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.console import main
 from flows.console import run as run_module
-from flows.console.app import run_command_line
 from flows.console.context import say
 from flows.console.display import BarListener
 from flows.console.show import _short, joint_lines
@@ -26,8 +24,9 @@ from pasdedeux.skeletons import PAIR17
 from storage_schema import Store
 from tasks import ingest
 from tasks.stage import Parameters, Shard, StageInputs
+from tests.builders.command_line import CommandLine
 from tests.builders.ingest_runs import write_figure_pair
-from tests.builders.source_samples import csv_text, figure_motion
+from tests.builders.source_samples import figure_motion, pair_csv_text
 from tests.builders.storage_rows import commit_rows
 from tests.builders.terminals import Screen
 
@@ -98,12 +97,20 @@ def test_the_better_value_of_a_row_is_marked_and_what_nobody_can_know_is_not() -
     assert meanings(["fit_clean", "fit", "colour"]) == (meanings(["fit"])[0],)
 
 
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the runs that commands would build."""
+    runs: list[Any] = []
+    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: runs.append(run))
+    return runs
+
+
 @pytest.mark.parametrize(
     ("study", "more", "until"),
     [
-        ("a.bvh b.bvh", (), "augmentation"),
-        ("a.bvh b.bvh pair.csv", (), "augmentation"),
-        ("a.bvh b.bvh", ("--until", "chains"), "chains"),
+        ("60_01.bvh 61_01.bvh", (), "augmentation"),
+        ("60_01.bvh 61_01.bvh pair.csv", (), "augmentation"),
+        ("60_01.bvh 61_01.bvh", ("--until", "chains"), "chains"),
         ("pair.csv", (), None),
         ("", (), "augmentation"),
         ("duets", (), "augmentation"),
@@ -111,30 +118,20 @@ def test_the_better_value_of_a_row_is_marked_and_what_nobody_can_know_is_not() -
     ],
 )
 def test_a_preview_of_takes_ends_at_their_variants_and_one_of_2d_poses_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, study: str, more: tuple[str, ...], until: str | None
+    tmp_path: Path, invoke: CommandLine, built: list[Any], study: str, more: tuple[str, ...], until: str | None
 ) -> None:
     if study not in shipped_studies():
         paths = [tmp_path / name for name in study.split()]
         write_figure_pair(tmp_path)
-        for path, number in zip(paths, (60, 61), strict=False):
-            (tmp_path / f"{number}_01.bvh").rename(path)
-        if "pair.csv" in study:
-            rows = csv_text().splitlines()
-            second = [row.replace(",0,", ",1,", 1) for row in rows if row[0].isdigit()]
-            (tmp_path / "pair.csv").write_text("\n".join([*rows, *second]))
+        (tmp_path / "pair.csv").write_text(pair_csv_text())
         study = str(tmp_path / "mine.toml")
         write_new_study(Path(study), paths)
-    built: list[Any] = []
-    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: built.append(run))
-    with pytest.raises(SystemExit) as ended:
-        main(["run", study, "--preview", *more, "--store", str(tmp_path / "store")])
-    assert ended.value.code == 0
-    (run,) = built
-    assert run.selection.until == until
+    invoke("run", study, "--preview", *more, "--store", tmp_path / "store")
+    assert [run.selection.until for run in built] == [until]
 
 
 def test_a_preview_takes_the_seconds_in_which_people_are_nearest_to_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, invoke: CommandLine, built: list[Any]
 ) -> None:
     """Or a high five that first touches at 6.3 s has ten variants with nothing to keep."""
     still, files = figure_motion(1, rate_hz=60.0), [tmp_path / f"walk_{letter}.bvh" for letter in "AB"]
@@ -148,36 +145,25 @@ def test_a_preview_takes_the_seconds_in_which_people_are_nearest_to_each_other(
         path.write_text(write_bvh(walking))
     study = tmp_path / "mine.toml"
     write_new_study(study, files)
-    built: list[Any] = []
-    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: built.append(run.study))
-    with pytest.raises(SystemExit):
-        main(["run", str(study), "--preview", "--store", str(tmp_path / "store")])
-    (take,) = built[0].parameters["ingest"].takes
-    start, stop = take.frames
+    invoke("run", study, "--preview", "--store", tmp_path / "store")
+    section = built[0].study.parameters["ingest"]
+    start, stop = section.takes[0].frames
     assert stop - start == 240
     assert start <= 500 < stop
-    planned = ingest.plan(StageInputs({}, seed=1), built[0].parameters["ingest"])
+    planned = ingest.plan(StageInputs({}, seed=1), section)
     assert planned[0].parameters.persons[0].num_frames == 240
 
 
 def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    store: Store, invoke: CommandLine, built: list[Any]
 ) -> None:
-    built: list[Any] = []
-    monkeypatch.setattr(run_module, "build_and_report", lambda run, *rest, **more: built.append(run.study))
-    store = str(tmp_path / "store")
-    with pytest.raises(SystemExit) as ended:
-        main(["run", "duets", "--preview", "--store", store, "--set", "publish.name=kept"])
-    assert ended.value.code == 0
-    (chosen,) = built
-    assert (chosen.name, chosen.publish) == ("duets-preview", None), "a preview is no version of the dataset"
-    assert (
-        capsys.readouterr().out == f"for the whole study: pasdedeux run duets --store {store} --set publish.name=kept\n"
-    )
-    planned = ingest.plan(StageInputs({}, seed=1), chosen.parameters["ingest"])
+    words = f"run duets --store {store} --set publish.name=kept"
+    assert invoke(*words.split(), "--preview").out == f"for the whole study: pasdedeux {words}\n"
+    study = built[0].study
+    assert (study.name, study.publish) == ("duets-preview", None), "a preview is no version of the dataset"
+    planned = ingest.plan(StageInputs({}, seed=1), study.parameters["ingest"])
     take = next(shard for shard in planned if shard.name == "take")
-    made = Store(tmp_path / "made")
-    facts = made.manifest(ingest.run_shard(take, made)).facts
+    facts = store.manifest(ingest.run_shard(take, store)).facts
     assert facts["num_frames"] / facts["rate_hz"] == run_module.PREVIEW_S
 
 
@@ -198,13 +184,12 @@ def test_values_of_a_row_are_rounded_and_long_arrays_are_their_shapes(value: obj
 
 
 def test_where_a_row_comes_from_is_named_artifact_by_artifact_with_its_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, invoke: CommandLine
 ) -> None:
     store = Store(tmp_path / "store")
     first = commit_rows(store, "takes", 2, stage="ingest", partition="waltz", files=(("film.avi", "ab" * 32),))
     draws = commit_rows(store, "draws", 3, stage="chains", partition="ic", name="seed0", inputs=(first,))
-    assert run_command_line(["show", f"draws@{draws.key[:16]}", "--store", str(store.root), "--rows", "0"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = invoke("show", f"draws@{draws.key[:16]}", "--store", store.root, "--rows", "0").out.splitlines()
     assert lines[1] == "3 rows in 1 artifact"
     at = lines.index("comes from:")
     assert lines[at + 1 : at + 4] == [

@@ -12,7 +12,7 @@ from flows.profiling import PROFILE_FILE, write_profile
 from flows.study import load_study
 from storage_schema import Store
 from tasks.shards import HerePool
-from tests.builders.toy_runs import write_study
+from tests.builders.toy_runs import computed, write_study
 from tests.builders.toys import TOYS
 
 
@@ -21,7 +21,7 @@ def profile_of(run: Run) -> tuple[str, dict[str, int]]:
     plan = make_plan(run.study, run.graph, run.store)
     outcome = execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     page = (run.store.root / "runs" / outcome.run_id / "report" / PROFILE_FILE).read_text()
-    return page, {stage.name: stage.num_computed for stage in outcome.stages if stage.num_computed}
+    return page, computed(outcome)
 
 
 def test_a_profile_has_the_shards_that_were_computed_by_stage(tmp_path: Path) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
-from flows.console.app import run_command_line
 from flows.study import load_study
 from flows.study_files import StudyError
-from storage_schema import Dataset, Store, list_datasets
+from storage_schema import Store, list_datasets
+from tests.builders.command_line import CommandLine
 from tests.builders.storage_rows import list_as_of_schema_1
 from tests.builders.toy_runs import STUDY, write_study
 from tests.builders.toys import TOYS
@@ -26,140 +27,121 @@ def study(tmp_path: Path) -> Path:
     return write_study(tmp_path, f"{STUDY}[bend]\nstep = 1\n{PUBLISH}")
 
 
-def run(study: Path, *more: str) -> int:
-    return run_command_line(["run", str(study), "--store", str(study.parent / "store"), *more], graph=TOYS)
+@pytest.fixture
+def run(study: Path, store: Store, invoke_toys: CommandLine) -> CommandLine:
+    """Return the command that builds the study."""
+    return invoke_toys.of("run", study).at(store)
 
 
-def versions(study: Path) -> list[Dataset]:
-    return list_datasets(Store(study.parent / "store"))
+def labels(store: Store) -> list[str]:
+    return [dataset.label for dataset in list_datasets(store)]
 
 
+@pytest.mark.parametrize("level", ["pass", "not judged", "warn"])
 def test_a_run_whose_verdicts_do_not_fail_becomes_a_version_of_all_it_made(
-    study: Path, capsys: pytest.CaptureFixture[str]
+    run: CommandLine, store: Store, level: str
 ) -> None:
-    assert run(study) == 0
-    assert "released@1 is published" in capsys.readouterr().out
-    (made,) = versions(study)
+    assert "released@1 is published" in run("--set", f"judge.level={level}").out
+    (made,) = list_datasets(store)
     assert {ref.stage for ref in made.refs} == set(TOYS.names)
     assert json.loads((made.path / "study.json").read_text())["publish"]["name"] == "released"
     assert {path.name for path in made.path.iterdir()} == {"dataset.json", "study.json", "environment.json"}
 
 
-def test_nothing_new_makes_no_new_version(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(study) == run(study) == 0
-    assert "released@1 stays: nothing has changed" in capsys.readouterr().out
-    assert run(study, "--force", "bend", "--json") == 0
-    published = json.loads(capsys.readouterr().out)["published"]
+def test_nothing_new_makes_no_new_version(run: CommandLine, store: Store, tmp_path: Path) -> None:
+    run()
+    assert "released@1 stays: nothing has changed" in run().out
+    published = run("--force", "bend", "--json").json["published"]
     assert (published["dataset"], published["failures"]) == ("released@1", [])
-    assert len(versions(study)) == 1
-    (study.parent / "source.txt").write_text("whose bytes change nothing but keys")
-    store = Store(study.parent / "store")
-    assert run(study, "--set", f"grow.source={study.parent / 'source.txt'}") == 0
+    source = tmp_path / "source.txt"
+    source.write_text("whose bytes change nothing but keys")
+    assert "released@1 stays: nothing has changed" in run("--set", f"grow.source={source}").out
     assert len(list(store.artifacts("grow"))) == 12, "every key is another one"
-    assert "released@1 stays: nothing has changed" in capsys.readouterr().out
-    assert len(versions(study)) == 1
+    assert labels(store) == ["released@1"]
 
 
-def test_a_version_follows_one_of_an_older_schema(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(study) == 0
-    list_as_of_schema_1(versions(study)[0].path)
-    capsys.readouterr()
-    assert run(study) == 0
-    assert "released@2 is published" in capsys.readouterr().out
-    assert [one.label for one in versions(study)] == ["released@2"]
-    store = str(study.parent / "store")
-    assert run_command_line(["dataset", "list", "--store", store], graph=TOYS) == 0
-    assert "released@1  is of an older schema" in capsys.readouterr().out
+def test_a_version_follows_one_of_an_older_schema(run: CommandLine, store: Store, invoke_toys: CommandLine) -> None:
+    run()
+    list_as_of_schema_1(list_datasets(store)[0].path)
+    assert "released@2 is published" in run().out
+    assert labels(store) == ["released@2"]
+    assert "released@1  is of an older schema" in invoke_toys("dataset", "list", "--store", store).out
 
 
-def test_a_rebuild_that_stopped_is_published_compared_rerun_and_built_upon(study: Path, tmp_path: Path) -> None:
-    store, scale = str(tmp_path / "store"), ("--set", "grow.scale=1.0001")
-    assert run(study) == 0
-    before = {one.ref for one in Store(store).artifacts("judge")}
-    assert run(study, *scale) == 0
-    assert {one.ref for one in Store(store).artifacts("judge")} == before, "bend has rounded the difference away"
-    assert [one.label for one in versions(study)] == ["released@1", "released@2"]
-    for line in (
-        ["diff", "released@1", "released@2", "--store", store],
-        *(["rerun", name, "--from", store, "--store", str(tmp_path / name)] for name in ("released@1", "released@2")),
-    ):
-        assert run_command_line(line, graph=TOYS) == 0
-    assert run(study, *scale, "--set", "judge.title=more") == 0
-    assert len(versions(study)) == 3
+def test_a_rebuild_that_stopped_is_published_compared_rerun_and_built_upon(
+    run: CommandLine, store: Store, tmp_path: Path, invoke_toys: CommandLine
+) -> None:
+    scaled = run.of("--set", "grow.scale=1.0001")
+    run()
+    before = {judged.ref for judged in store.artifacts("judge")}
+    scaled()
+    assert {judged.ref for judged in store.artifacts("judge")} == before, "bend has rounded the difference away"
+    assert labels(store) == ["released@1", "released@2"]
+    invoke_toys.at(store)("diff", "released@1", "released@2")
+    for name in ("released@1", "released@2"):
+        invoke_toys("rerun", name, "--from", store, "--store", tmp_path / name)
+    scaled("--set", "judge.title=more")
+    assert len(labels(store)) == 3
 
 
 def test_what_a_version_has_lost_is_published_anew_though_the_same_was_made_since(
-    study: Path, capsys: pytest.CaptureFixture[str]
+    run: CommandLine, store: Store, tmp_path: Path
 ) -> None:
-    source = study.parent / "source.txt"
-    for text in ("once", "again"):
-        source.write_text(text)
-        assert run(study, "--set", f"grow.source={source}") == 0
-    assert "released@1 stays: nothing has changed" in capsys.readouterr().out
-    for ref in versions(study)[0].refs:
+    source = tmp_path / "source.txt"
+    of_source = run.of("--set", f"grow.source={source}")
+    source.write_text("once")
+    of_source()
+    source.write_text("again")
+    assert "released@1 stays: nothing has changed" in of_source().out
+    for ref in list_datasets(store)[0].refs:
         if ref.stage == "grow":
-            Store(study.parent / "store").discard(ref)
-    assert run(study, "--set", f"grow.source={source}") == run(study, "--set", f"grow.source={source}") == 0
-    out = capsys.readouterr().out
-    assert "released@2 is published" in out
-    assert "released@2 stays: nothing has changed" in out
+            store.discard(ref)
+    assert "released@2 is published" in of_source().out
+    assert "released@2 stays: nothing has changed" in of_source().out
 
 
-def test_a_verdict_that_fails_publishes_nothing_and_is_named_with_the_figure(
-    study: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(study, "--set", "judge.level=fail") == 1
-    said = capsys.readouterr()
-    lines = said.err.splitlines()[-2:]
-    assert lines[0] == "error: released is not published: 1 of 1 required verdicts fail"
-    assert lines[1].strip().startswith("judge: fail: made for a test; total ")
-    assert versions(study) == []
+def test_a_verdict_that_fails_publishes_nothing_and_is_named_with_the_figure(run: CommandLine, store: Store) -> None:
+    failing = run.of("--set", "judge.level=fail")
+    said = failing(code=1)
+    heading, verdict = said.err.splitlines()[-2:]
+    assert heading == "error: released is not published: 1 of 1 required verdicts fail"
+    assert verdict.strip().startswith("judge: fail: made for a test; total ")
+    assert labels(store) == []
     assert "done: " in said.out
-    assert run(study, "--set", "judge.level=fail") == 1, "also where everything is fresh: a schedule must notice"
-    assert run(study, "--set", "judge.level=fail", "--set", "publish.required=[]") == 0
-    assert len(versions(study)) == 1, "a list put right is answered from what is there"
+    failing(code=1)  # also where everything is fresh: a schedule must notice
+    failing("--set", "publish.required=[]")
+    assert len(labels(store)) == 1, "a list put right is answered from what is there"
 
 
-def test_a_required_verdict_that_is_not_there_publishes_nothing(
-    study: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(study, "--set", "publish.required=['judge', 'grow']") == 1
-    assert "grow: there is no such verdict; verdicts: judge" in capsys.readouterr().err
+def test_a_required_verdict_that_is_not_there_publishes_nothing(run: CommandLine) -> None:
+    said = run("--set", "publish.required=['judge', 'grow']", code=1).err
+    assert "grow: there is no such verdict; verdicts: judge" in said
 
 
-@pytest.mark.parametrize("level", ["pass", "not judged", "warn"])
-def test_what_does_not_fail_is_published(study: Path, level: str) -> None:
-    assert run(study, "--set", f"judge.level={level}") == 0
-    assert len(versions(study)) == 1
-
-
-def test_without_a_list_the_verdicts_on_products_must_not_fail(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_list_the_verdicts_on_products_must_not_fail(study: Path, run: CommandLine) -> None:
     """The toy's models come from `bend`; `judge` writes scores, which are no product."""
     study.write_text(study.read_text().replace('required = ["judge"]\n', ""))
-    assert run(study, "--set", "judge.level=fail") == 0
-    assert run(study, "--set", "bend.level=fail") == 1
-    assert "bend: fail: 6 of 6: made for a test" in capsys.readouterr().err
+    run("--set", "judge.level=fail")
+    assert "bend: fail: 6 of 6: made for a test" in run("--set", "bend.level=fail", code=1).err
 
 
 @pytest.mark.parametrize(
-    ("level", "codes"), [("pass", (0, 0)), ("not judged", (0, 0)), ("warn", (1, 0)), ("fail", (1, 1))]
+    ("level", "on_warn", "on_fail"), [("pass", 0, 0), ("not judged", 0, 0), ("warn", 1, 0), ("fail", 1, 1)]
 )
-def test_a_run_may_be_asked_to_fail_on_a_verdict(
-    study: Path, capsys: pytest.CaptureFixture[str], level: str, codes: tuple[int, int]
-) -> None:
-    more = ("--set", f"judge.level={level}", "--set", "publish.required=[]")
-    assert tuple(run(study, *more, "--fail-on", worst) for worst in ("warn", "fail")) == codes
-    assert ("judge: " + level in capsys.readouterr().err) == any(codes)
-    assert run(study, *more) == 0
+def test_a_run_may_be_asked_to_fail_on_a_verdict(run: CommandLine, level: str, on_warn: int, on_fail: int) -> None:
+    judged = run.of("--set", f"judge.level={level}", "--set", "publish.required=[]")
+    assert ("judge: " + level in judged("--fail-on", "warn", code=on_warn).err) == bool(on_warn)
+    judged("--fail-on", "fail", code=on_fail)
+    judged()
 
 
-def test_a_part_of_a_study_is_not_published(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(study, "--until", "bend") == 0
-    assert "released is not published: this is not the whole of the study" in capsys.readouterr().out
-    assert versions(study) == []
+def test_a_part_of_a_study_is_not_published(run: CommandLine, store: Store) -> None:
+    said = run("--until", "bend").out
+    assert "released is not published: this is not the whole of the study" in said
+    assert labels(store) == []
     every = [word for stage in ("aside", "grow", "bend", "judge") for word in ("--only", stage)]
-    assert run(study, *every, "--set", "publish.required=[]") == 0
-    assert len(versions(study)) == 1, "all that the study asks for is the whole of it"
+    run(*every, "--set", "publish.required=[]")
+    assert len(labels(store)) == 1, "all that the study asks for is the whole of it"
 
 
 @pytest.mark.parametrize(
@@ -172,9 +154,8 @@ def test_a_part_of_a_study_is_not_published(study: Path, capsys: pytest.CaptureF
 )
 def test_verdicts_that_no_stage_can_have_are_refused_while_planning(study: Path, section: str, words: str) -> None:
     study.write_text(f"{STUDY}[publish]\n{section}\n")
-    with pytest.raises(StudyError) as error:
+    with pytest.raises(StudyError, match=re.escape(words)):
         load_study(str(study), TOYS, environment={})
-    assert words in str(error.value)
 
 
 def test_what_a_study_publishes_is_not_inherited(study: Path) -> None:

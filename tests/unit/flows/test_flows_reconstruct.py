@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from flows.console.app import run_command_line
 from flows.console.display import LineListener
 from flows.console.live import list_frames
 from flows.progress import Progress
@@ -39,6 +38,7 @@ from tasks import reconstruction as reconstruction_stage
 from tasks.projections import read_database
 from tasks.stage import StageInputs
 from tasks.stage.judgements import PARTS_FACT
+from tests.builders.command_line import CommandLine
 from tests.builders.ingest_runs import judged
 from tests.builders.pages import Page
 from tests.builders.walkers import reconstruction, walk
@@ -55,15 +55,18 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return build_store(tmp_path_factory.mktemp("store"))
 
 
+SIZE = ("--set", "image_size_px=[1920, 1080]")
+
+
+@pytest.fixture
+def reconstruct(store: Store, invoke: CommandLine) -> CommandLine:
+    """Return the command with the database of the store."""
+    return invoke.of("reconstruct", *reference(store))
+
+
 @pytest.mark.parametrize(("units", "zoom"), [("cm", 1.0), ("m", 1.4)])
 def test_files_that_lie_there_become_a_humanoid_a_person(
-    video: Path,
-    store: Store,
-    tmp_path: Path,
-    units: str,
-    zoom: float,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    video: Path, tmp_path: Path, reconstruct: CommandLine, monkeypatch: pytest.MonkeyPatch, units: str, zoom: float
 ) -> None:
     def with_other_lens(*told: Any, **more: Any) -> SceneEstimate:
         """Find a longer lens than was assumed, and everybody farther away."""
@@ -73,8 +76,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
 
     monkeypatch.setattr(people, "estimate_scene", with_other_lens)
     out = tmp_path / "out"
-    command = ["reconstruct", str(video), *reference(store), "--out", str(out), "--set", "image_size_px=[1920, 1080]"]
-    assert run_command_line([*command, *(["--units", "m"] if units == "m" else [])]) == 0
+    said = reconstruct(video, "--out", out, *SIZE, *(["--units", "m"] if units == "m" else []))
     assert {"cm": "centimetres", "m": "are in metres"}[units] in (out / f"{video.name}_units.txt").read_text()
     for person in (0, 1):
         source = read_bvh((out / f"{video.name}_{person}.bvh").read_bytes())
@@ -86,7 +88,6 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
         np.testing.assert_allclose(motion.world()[0][:, at], made["positions_m"], atol=1e-5)
         assert made["is_seen"].all()
         assert (float(made["rate_hz"]), int(made["first_frame"])) == (pytest.approx(30.0), 0)
-    said = capsys.readouterr()
     header, *lines, place, look = said.out.splitlines()
     assert header.split()[0] == "file"
     assert re.match(r"place of 0 and 1 +\d+ cm \(\d+ to \d+\) .*(pass|warn|fail)", place)
@@ -116,34 +117,32 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     assert np.ptp(higher) < 0.01, "people stand upright on the page, on one floor, however the camera is pitched"
 
 
-def test_a_reconstruction_says_how_far_it_is(video: Path, store: Store, tmp_path: Path, monkeypatch: Any) -> None:
+def test_a_reconstruction_says_how_far_it_is(
+    video: Path, reconstruct: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     heard: list[Progress] = []
     monkeypatch.setattr(LineListener, "progressed", lambda _, progress: heard.append(progress))
-    command = [
-        "reconstruct",
-        str(video),
-        *reference(store),
-        "--out",
-        str(tmp_path),
-        "--set",
-        "image_size_px=[1920, 1080]",
-    ]
-    assert run_command_line(command) == 0
-    done = [one.num_done for one in heard]
+    reconstruct(video, "--out", tmp_path, *SIZE)
+    done = [progress.num_done for progress in heard]
     assert done == sorted(done)
     assert heard[-1].num_done == heard[-1].num_shards > 4
     assert heard[0].left_s > heard[-1].left_s == 0.0
 
 
-def test_files_of_people_who_come_later_start_with_the_others(video: Path, store: Store, tmp_path: Path) -> None:
-    frames = {}
-    for number, path in list_frames(video):
-        frame = json.loads(path.read_text())
-        if number < 8:
-            frame["people"] = frame["people"][:1] if number % 2 == 0 else frame["people"][1:]
-        frames[number] = json.dumps(frame)
+def second_comes_later(text: str, number: int) -> str:
+    """Return a frame in which only the first person is seen, if it is one of the first eight."""
+    frame = json.loads(text)
+    if number < 8:
+        frame["people"] = frame["people"][:1] if number % 2 == 0 else frame["people"][1:]
+    return json.dumps(frame)
+
+
+def test_files_of_people_who_come_later_start_with_the_others(
+    video: Path, reconstruct: CommandLine, tmp_path: Path
+) -> None:
+    frames = {number: second_comes_later(path.read_text(), number) for number, path in list_frames(video)}
     folder, out = written(tmp_path / "late", frames), tmp_path / "out"
-    assert run_command_line(["reconstruct", str(folder), *reference(store), "--out", str(out)]) == 0
+    reconstruct(folder, "--out", out)
     first, late = (read_npz((out / f"late_{person}.npz").read_bytes(), "motion") for person in (0, 1))
     assert len(first["positions_m"]) == len(late["positions_m"]) == FRAMES
     assert first["is_seen"].all()
@@ -151,59 +150,48 @@ def test_files_of_people_who_come_later_start_with_the_others(video: Path, store
     np.testing.assert_array_equal(late["positions_m"][:8], np.repeat(late["positions_m"][8:9], 8, axis=0))
 
 
-def test_without_a_database_it_is_said_how_to_get_one(
-    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run_command_line(["reconstruct", str(video)]) == 2
-    said = capsys.readouterr().err
+def test_without_a_database_it_is_said_how_to_get_one(video: Path, store: Store, invoke: CommandLine) -> None:
+    said = invoke.refusal("reconstruct", video, "--store", store)
     assert "no projections, which `reconstruct` needs as its database; `pasdedeux fetch database`" in said
 
 
 def test_the_height_of_the_camera_gives_people_their_size(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
     sizes = []
     for height, stated in (("1.2", ["--height", "1.2"]), ("1.8", ["--set", "camera_height_m=1.8"])):
-        command = ["reconstruct", str(video), *reference(store), "--out", str(tmp_path / height), *stated]
-        assert run_command_line([*command, "--set", "image_size_px=[1920, 1080]", "--pitch", "6"]) == 0
+        reconstruct(video, "--out", tmp_path / height, *stated, *SIZE, "--pitch", "6")
         first = read_bvh(min((tmp_path / height).glob("*.bvh")).read_bytes())
         sizes.append(np.linalg.norm(first.rest_offsets, axis=-1).sum())
     assert sizes[1] / sizes[0] == pytest.approx(1.5, rel=0.05)
-    assert run_command_line(["reconstruct", str(video), *reference(store), "--follow", "--height", "1.5"]) == 2
-    assert "--height is for whole videos" in capsys.readouterr().err
 
 
 def test_who_is_who_is_written_and_a_changed_table_overrules_it(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
-    command = ["reconstruct", str(video), *reference(store), "--set", "image_size_px=[1920, 1080]", "--out"]
-    assert run_command_line([*command, str(tmp_path / "all")]) == 0
-    assert "0 and 1 are partners" in capsys.readouterr().err
-    table = tmp_path / "all" / f"{video.name}_people.csv"
-    header, *rows = table.read_text().splitlines()
+    assert "0 and 1 are partners" in reconstruct(video, *SIZE, "--out", tmp_path / "all").err
+    header, *rows = (tmp_path / "all" / f"{video.name}_people.csv").read_text().splitlines()
     changed = tmp_path / "people.csv"
     names = (row.rsplit(",", 1)[0] + (",nobody" if at else ",5") for at, row in enumerate(rows))
     changed.write_text("\n".join([header, *names]))
-    assert run_command_line([*command, str(tmp_path / "one"), "--set", f"people_file={changed}"]) == 0
+    command = reconstruct.of(video, *SIZE, "--set", f"people_file={changed}", "--out", tmp_path / "one")
+    command()
     assert [path.name for path in (tmp_path / "one").glob("*.bvh")] == [f"{video.name}_5.bvh"]
     changed.write_text(f"{header}\n{video.name},0,3,9,1\n")
-    assert run_command_line([*command, str(tmp_path / "none"), "--set", f"people_file={changed}"]) == 2
-    assert "there is no person 9; persons: 0, 1" in capsys.readouterr().err
-    assert run_command_line([*command, str(tmp_path / "none"), "--set", f"people_file={tmp_path / 'no.csv'}"]) == 2
-    assert run_command_line([*command, str(tmp_path / "none"), "--set", f"people_file={changed}", "--follow"]) == 2
-    assert "--set people_file is for whole videos" in capsys.readouterr().err
+    assert "there is no person 9; persons: 0, 1" in command.refusal()
+    changed.unlink()
+    assert "people.csv does not exist" in command.refusal()
 
 
-@pytest.mark.parametrize("change", [["--set", "min_confidence=0"], ["--units", "m"]])
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--set min_confidence", "=0"), ("--set people_file", "=a.csv"), ("--units", " m"), ("--height", " 1.5")],
+)
 def test_what_only_whole_videos_have_is_refused_live(
-    change: list[str], video: Path, store: Store, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, option: str, value: str
 ) -> None:
-    assert run_command_line(["reconstruct", str(video), *reference(store), "--follow", *change]) == 2
-    assert (
-        f"{' '.join(change).partition('=')[0].removesuffix(' m')} is for whole videos; leave it out with --follow"
-        in capsys.readouterr().err
-    )
+    said = reconstruct.refusal(video, "--follow", *f"{option}{value}".split())
+    assert f"{option} is for whole videos; leave it out with --follow" in said
 
 
 @pytest.mark.parametrize(
@@ -214,34 +202,22 @@ def test_what_only_whole_videos_have_is_refused_live(
         (["--database", "poses@00"], "poses"),
     ],
 )
-def test_bad_options_are_named(
-    video: Path, store: Store, change: list[str], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_command_line(["reconstruct", str(video), *reference(store), *change]) == 2
-    assert says in capsys.readouterr().err
+def test_bad_options_are_named(video: Path, reconstruct: CommandLine, change: list[str], says: str) -> None:
+    assert says in reconstruct.refusal(video, *change)
 
 
-def test_a_folder_without_frames_and_a_store_without_projections_are_named(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_command_line(["reconstruct", str(tmp_path), *reference(store), "--stature", "172"]) == 2
-    assert "stature '172' is neither" in capsys.readouterr().err, "before anything is read"
-    assert run_command_line(["reconstruct", str(tmp_path), *reference(store)]) == 2
-    assert "holds no files of 2D poses" in capsys.readouterr().err
-    assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
-    assert "does not exist" in capsys.readouterr().err
-    assert run_command_line(["reconstruct", str(video), "--store", str(store.root)]) == 2
-    assert (
-        "no projections, which `reconstruct` needs as its database; `pasdedeux fetch database`"
-        in capsys.readouterr().err
-    )
+def test_a_folder_without_frames_is_named(reconstruct: CommandLine, tmp_path: Path) -> None:
+    said = reconstruct.refusal(tmp_path, "--stature", "172")
+    assert "stature '172' is neither METRES nor PERSON=METRES" in said, "before anything is read"
+    assert "holds no files of 2D poses" in reconstruct.refusal(tmp_path)
+    assert "does not exist" in reconstruct.refusal(tmp_path / "none")
 
 
-def written(folder: Path, frames: dict[int, str]) -> Path:
+def written(folder: Path, frames: dict[int, str], camera: str = "film") -> Path:
     """Write OpenPose files by frame number."""
     folder.mkdir(exist_ok=True)
     for number, text in frames.items():
-        (folder / f"film_{number:012d}_keypoints.json").write_text(text)
+        (folder / f"{camera}_{number:012d}_keypoints.json").write_text(text)
     return folder
 
 
@@ -255,58 +231,48 @@ def padded(text: str) -> str:
 
 @pytest.mark.parametrize("mode", [[], ["--follow", "--idle", "0"]])
 def test_coco_18_in_files_of_25_keypoints_is_noticed(
-    video: Path, store: Store, tmp_path: Path, mode: list[str], capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path, mode: list[str]
 ) -> None:
     frames = {number: padded(path.read_text()) for number, path in list_frames(video)}
     folder = written(tmp_path / "padded", frames)
-    assert run_command_line(["reconstruct", str(folder), *reference(store), *mode, "--out", str(tmp_path / "x")]) == 2
-    assert "'coco18' fits" in capsys.readouterr().err
+    assert "'coco18' fits" in reconstruct.refusal(folder, *mode, "--out", tmp_path / "x")
 
 
-def test_people_without_any_joint_are_nobody(store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_people_without_any_joint_are_nobody(reconstruct: CommandLine, tmp_path: Path) -> None:
     empty = openpose(np.zeros((1, 14, 2))).replace("0.9", "0.0")
-    folder = written(tmp_path / "empty", dict.fromkeys(range(12), empty))
-    assert run_command_line(["reconstruct", str(folder), *reference(store), "--out", str(tmp_path / "x")]) == 2
-    assert "nobody is seen" in capsys.readouterr().err
-    command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(tmp_path / "y")]
-    assert run_command_line(command) == 0
-    assert "12 frames, nobody to be seen" in capsys.readouterr().err
-    assert len((tmp_path / "y").read_text().splitlines()) == 1
+    folder, lines = written(tmp_path / "empty", dict.fromkeys(range(12), empty)), tmp_path / "lines"
+    assert "nobody is seen" in reconstruct.refusal(folder, "--out", tmp_path / "x")
+    said = reconstruct(folder, "--follow", "--idle", "0", "--out", lines).err
+    assert "12 frames, nobody to be seen" in said
+    assert len(lines.read_text().splitlines()) == 1
 
 
 def test_numbers_with_gaps_and_people_who_come_and_go_keep_their_frames(
-    video: Path, store: Store, tmp_path: Path
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
-    frames = {}
-    for number, path in list_frames(video):
-        if 18 <= number < 21:
-            continue  # three frames were lost
-        frame = json.loads(path.read_text())
-        if number < 8:  # the second person comes later
-            frame["people"] = frame["people"][:1] if number % 2 == 0 else frame["people"][1:]
-        frames[3 * number] = json.dumps(frame)  # every third frame of a faster camera
+    """Of every third frame of a faster camera three were lost; the second person comes later."""
+    frames = {
+        3 * number: second_comes_later(path.read_text(), number)
+        for number, path in list_frames(video)
+        if not 18 <= number < 21
+    }
     folder, out = written(tmp_path / "gaps", frames), tmp_path / "lines"
-    command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
-    assert run_command_line([*command, "--set", "rate_hz=90"]) == 0
+    reconstruct(folder, "--follow", "--idle", "0", "--out", out, "--set", "rate_hz=90")
     _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
-    seen = {one: [line["frame"] for line in lines if line["person_id"] == one] for one in (0, 1)}
-    assert seen[0] == sorted(frames)
-    assert seen[1] == [number for number in sorted(frames) if number >= 24]
+    seen = {person: [line["frame"] for line in lines if line["person_id"] == person] for person in (0, 1)}
+    assert seen == {0: sorted(frames), 1: [number for number in sorted(frames) if number >= 24]}
 
 
 def test_a_database_written_with_other_columns_is_refused(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, store: Store, tmp_path: Path, invoke: CommandLine
 ) -> None:
-    other = tmp_path / "store"
-    shutil.copytree(store.root, other)
-    (path,) = other.rglob("projections.parquet")
-    table = pyarrow.parquet.read_table(path)
-    kept = table.drop_columns(["joint_radius_m"])
-    pyarrow.parquet.write_table(kept, path)
+    copy = tmp_path / "store"
+    shutil.copytree(store.root, copy)
+    (path,) = copy.rglob("projections.parquet")
+    pyarrow.parquet.write_table(pyarrow.parquet.read_table(path).drop_columns(["joint_radius_m"]), path)
     with pytest.raises(SchemaError, match=r"'projections'.*other columns; run its stage again"):
-        read_database(Store(other), [manifest.ref for manifest in store.artifacts("projections")])
-    assert run_command_line(["reconstruct", str(video), "--store", str(other), *reference(store)[2:]]) == 2
-    assert "projections" in capsys.readouterr().err
+        read_database(Store(copy), [manifest.ref for manifest in store.artifacts("projections")])
+    assert "projections" in invoke.refusal("reconstruct", video, "--store", copy, *reference(store)[2:])
 
 
 def results(video: Path) -> str:
@@ -323,63 +289,50 @@ def results(video: Path) -> str:
 
 
 def test_a_file_of_results_is_read_as_a_study_reads_it_and_what_was_assumed_is_said(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
     path = tmp_path / "clip.json"
     path.write_text(results(video))
-    command = ["reconstruct", str(path), *reference(store), "--out", str(tmp_path / "out"), "--pitch", "6"]
-    camera = ("--set", "fov_deg=70", "--set", "image_size_px=[1920, 1080]")
-    assert run_command_line([*command, "--person", "4", "--stature", "1.60", *camera]) == 0
-    (file,) = (tmp_path / "out").glob("*.bvh")
-    assert file.name == "clip_4.bvh"
-    said = capsys.readouterr().err
+    command = reconstruct.of(path, "--out", tmp_path / "out", "--pitch", "6")
+    said = command("--person", "4", "--stature", "1.60", "--set", "fov_deg=70", *SIZE).err
+    assert [file.name for file in (tmp_path / "out").glob("*.bvh")] == ["clip_4.bvh"]
     assert "clip: format 'coco', layout 'coco17', 30 frames a second assumed (rate_hz), 1920 x 1080" in said
     assert "focal length 1371 px" in said
-    assert run_command_line([*command, "--person", "7"]) == 2
-    assert "clip: the input has no person 7; people: 3, 4" in capsys.readouterr().err
-    assert run_command_line([*command, "--stature", "172"]) == 2
-    assert "'172' is neither METRES nor PERSON=METRES" in capsys.readouterr().err
+    assert "clip: the input has no person 7; people: 3, 4" in command.refusal("--person", "7")
 
 
-def test_two_cameras_of_a_folder_are_two_sequences(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "README.txt").write_text("of somebody else")
-    for camera in ("left", "right"):
-        for number, path in list_frames(video)[: 20 if camera == "left" else FRAMES]:
-            (tmp_path / f"{camera}_{number:06d}_keypoints.json").write_text(path.read_text())
-    command = ["reconstruct", str(tmp_path), *reference(store), "--pitch", "6", "--out", str(tmp_path / "out")]
-    assert run_command_line(command) == 0
-    out = tmp_path / "out"
-    names = {file.name.removeprefix(tmp_path.name) for file in out.glob("*.bvh")}
-    assert names == {f".{camera}_{person}.bvh" for camera in ("left", "right") for person in (0, 1)}
-    said = [(out / f"{tmp_path.name}.{camera}_units.txt").read_text() for camera in ("left", "right")]
-    assert ["same 20 frames" in said[0], "same 40 frames" in said[1]] == [True, True]
+def test_two_cameras_of_a_folder_are_two_sequences(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
+    folder, out = tmp_path / "both", tmp_path / "out"
+    for camera, num_frames in (("left", 20), ("right", FRAMES)):
+        written(folder, {number: path.read_text() for number, path in list_frames(video)[:num_frames]}, camera)
+    out.mkdir()
+    (out / "README.txt").write_text("of somebody else")
+    reconstruct(folder, "--pitch", "6", "--out", out)
+    names = {file.name for file in out.glob("*.bvh")}
+    assert names == {f"both.{camera}_{person}.bvh" for camera in ("left", "right") for person in (0, 1)}
+    for camera, num_frames in (("left", 20), ("right", FRAMES)):
+        assert f"same {num_frames} frames" in (out / f"both.{camera}_units.txt").read_text()
     assert (out / "README.txt").read_text() == "of somebody else"
 
 
 def test_a_camera_in_which_nobody_remains_is_said_and_the_others_are_made(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
     folder, two_joints = tmp_path / "both", np.zeros((1, 14, 2))
-    folder.mkdir()
     two_joints[0, :2] = 100.0
-    for number, path in list_frames(video):
-        (folder / f"left_{number:06d}_keypoints.json").write_text(path.read_text())
-        (folder / f"right_{number:06d}_keypoints.json").write_text(openpose(two_joints))
-    command = ["reconstruct", *reference(store), "--pitch", "6", "--out", str(tmp_path / "out")]
-    assert run_command_line([*command, str(folder)]) == 0
+    written(folder, {number: path.read_text() for number, path in list_frames(video)}, "left")
+    written(folder, dict.fromkeys(range(FRAMES), openpose(two_joints)), "right")
+    command = reconstruct.of(folder, "--pitch", "6", "--out", tmp_path / "out")
+    nobody = "no frame shows enough joints of a person"
+    assert f"skipped: annotations both.right: {nobody}" in command().err
     assert {file.name for file in (tmp_path / "out").glob("*.bvh")} == {"both.left_0.bvh", "both.left_1.bvh"}
-    assert "skipped: annotations both.right: no frame shows enough joints of a person" in capsys.readouterr().err
     for path in folder.glob("left_*"):
         path.unlink()
-    assert run_command_line([*command, str(folder)]) == 2
-    assert "no frame shows enough joints of a person" in capsys.readouterr().err
+    assert nobody in command.refusal()
 
 
 def test_a_sequence_of_a_file_in_which_nobody_remains_is_said_and_the_others_are_made(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
     items = [{key: item[key] for key in ("image_id", "keypoints")} for item in json.loads(results(video))]
     left = [item | {"image_id": f"left_{item['image_id']}"} for item in items]
@@ -387,29 +340,27 @@ def test_a_sequence_of_a_file_in_which_nobody_remains_is_said_and_the_others_are
     right = [item | ghost | {"image_id": f"right_{item['image_id']}"} for item in items]
     path, out = tmp_path / "clip.json", tmp_path / "out"
     path.write_text(json.dumps(left + right))
-    assert run_command_line(["reconstruct", str(path), *reference(store), "--pitch", "6", "--out", str(out)]) == 0
+    said = reconstruct(path, "--pitch", "6", "--out", out).err
     assert {file.name for file in out.glob("*.bvh")} == {"clip.left_0.bvh", "clip.left_1.bvh"}
-    assert "skipped: clip.right: no frame shows enough joints of a person" in capsys.readouterr().err
+    assert "skipped: clip.right: no frame shows enough joints of a person" in said
 
 
 def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
+    """There is one person in the whole video, and only every second frame."""
     frames = {number: path.read_text() for number, path in list_frames(video)[:24]}
-    one = {number: json.loads(text) for number, text in frames.items() if number % 2 == 0}
-    for frame in one.values():
-        frame["people"] = frame["people"][:1]  # one person for the whole video, and only every second frame
-    folder = written(tmp_path / "one", {1000 + number: json.dumps(frame) for number, frame in one.items()})
+    alone = {1000 + number: json.loads(text) for number, text in frames.items() if number % 2 == 0}
+    for frame in alone.values():
+        frame["people"] = frame["people"][:1]
+    folder = written(tmp_path / "one", {number: json.dumps(frame) for number, frame in alone.items()})
     out = tmp_path / "out"
-    command = ["reconstruct", str(folder), *reference(store), "--pitch", "6", "--set", "rate_hz=60", "--out", str(out)]
-    assert run_command_line(command) == 0
+    assert "1000-1022" in reconstruct(folder, "--pitch", "6", "--set", "rate_hz=60", "--out", out).out
     (file,) = out.glob("*.bvh")
     source = read_bvh(file.read_bytes())
     assert (source.num_frames, source.rate_hz) == (23, pytest.approx(60.0))
-    assert "1000-1022" in capsys.readouterr().out
     far = written(tmp_path / "far", {100_000 * number: text for number, text in frames.items()})
-    assert run_command_line(["reconstruct", str(far), *reference(store)]) == 2
-    assert "far: 24 frames spread over 2,300,001 are single images, not a video" in capsys.readouterr().err
+    assert "far: 24 frames spread over 2,300,001 are single images, not a video" in reconstruct.refusal(far)
 
 
 def test_people_of_known_stature_come_out_that_tall() -> None:
@@ -426,13 +377,11 @@ def test_people_of_known_stature_come_out_that_tall() -> None:
 
 
 def test_a_study_makes_of_the_same_files_what_the_command_makes(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    video: Path, store: Store, reconstruct: CommandLine, tmp_path: Path
 ) -> None:
-    stated = ["image_size_px=[1920, 1080]", "statures_m=[[0, 1.75], [3, 1.6]]"]
-    command = ["reconstruct", str(video), *reference(store), "--out", str(tmp_path)]
+    statures = ("--set", "statures_m=[[0, 1.75], [3, 1.6]]")
     # Of whom nothing else is stated, the person is 1.65 m tall.
-    assert run_command_line([*command, "--stature", "1.65", *(word for one in stated for word in ("--set", one))]) == 0
-    output = capsys.readouterr()
+    output = reconstruct(video, "--out", tmp_path, "--stature", "1.65", *SIZE, *statures)
     source = {"id": video.name, "path": video, "image_size_px": [1920, 1080]}
     source["statures_m"] = [[0, 1.75], [1, 1.65], [3, 1.6]]
     read = ingest.STAGE.plan(StageInputs({}, seed=5), ingest.IngestParameters.model_validate({"annotations": [source]}))

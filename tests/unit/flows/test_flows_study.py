@@ -57,19 +57,12 @@ def grow(study: Study) -> dict[str, object]:
     return study.parameters["grow"].model_dump()
 
 
-def test_defaults_fill_what_the_file_does_not_say(tmp_path: Path) -> None:
-    assert grow(load(write(tmp_path, "[grow]\nnum_takes = 5\n")))["num_segments"] == 3
-
-
 def test_settings_win_over_environment_over_file_over_defaults(tmp_path: Path) -> None:
+    assert grow(load(write(tmp_path, "[grow]\nnum_takes = 5\n")))["num_segments"] == 3
     path = write(tmp_path, "[grow]\nnum_takes = 5\nnum_segments = 5\nscale = 5.0\n")
     environment = {"PASDEDEUX_SET__GROW__NUM_SEGMENTS": "6", "PASDEDEUX_SET__GROW__SCALE": "6.0"}
-    found = grow(load(path, "grow.scale=7.5", environment=environment))
-    assert (found["num_takes"], found["num_segments"], found["scale"]) == (5, 6, 7.5)
-
-
-def test_the_later_of_two_equal_settings_wins(tmp_path: Path) -> None:
-    assert grow(load(write(tmp_path, ""), "grow.num_takes=2", "grow.num_takes=4"))["num_takes"] == 4
+    found = grow(load(path, "grow.scale=7.0", "grow.scale=7.5", environment=environment))
+    assert (found["num_takes"], found["num_segments"], found["scale"]) == (5, 6, 7.5), "the later of equal settings"
 
 
 def test_a_setting_reaches_into_lists_and_takes_text_without_quotes(tmp_path: Path) -> None:
@@ -150,38 +143,23 @@ def test_what_is_wrong_in_a_file_or_a_setting_is_one_sentence(
 def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:
     found = problems(write(tmp_path, '[grow]\nnum_takes = 0\nscale = "big"\n'), "nonsense", "judge.nothing=1")
     assert len(found) == 4
-    assert any("grow.num_takes: should be greater than or equal to 1; found 0" in p for p in found)
-    assert any("grow.scale" in p and "'big'" in p for p in found)
-    assert any("--set nonsense: expected section.name=value" in p for p in found)
-    assert any(
-        "judge.nothing: unknown; did you mean" in p or "judge.nothing: unknown; known: title" in p for p in found
-    )
-
-
-def test_paths_of_the_file_are_relative_to_it_and_those_of_settings_to_the_current_folder(tmp_path: Path) -> None:
-    (tmp_path / "deep").mkdir()
-    path = tmp_path / "deep" / "mine.toml"
-    path.write_text(HEAD + '[[load.people]]\npath = "a.bvh"\n')
-    study, _ = load_study(str(path), GRAPH, settings=["load.folder=data"], environment={}, folder=tmp_path)
-    section = study.resolved()["load"]
-    assert section["people"][0]["path"] == str(tmp_path / "deep" / "a.bvh")
-    assert section["folder"] == str(tmp_path / "data")
+    for words in (
+        "grow.num_takes: should be greater than or equal to 1; found 0",
+        "grow.scale: should be a valid number, unable to parse string as a number; found 'big'",
+        "--set nonsense: expected section.name=value",
+        "judge.nothing: unknown; ",
+    ):
+        assert any(words in problem for problem in found), found
 
 
 def test_a_study_may_stop_at_some_stages(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text('[study]\nname = "mine"\nstages = ["grow", "bend"]\n')
+    path.write_text(f'{HEAD}stages = ["grow", "bend"]\n')
     study, graph = load_study(str(path), GRAPH, environment={})
     assert graph.names == ("grow", "bend")
     assert set(study.parameters) == {"grow", "bend"}
-    path.write_text('[study]\nname = "mine"\nstages = ["grew"]\n')
-    assert any("did you mean grow?" in p for p in problems(path))
-
-
-def test_a_study_is_frozen(tmp_path: Path) -> None:
-    study = load(write(tmp_path, ""))
-    with pytest.raises(ValueError, match="frozen"):
-        study.head.seed = 3  # type: ignore[misc]
+    path.write_text(f'{HEAD}stages = ["grew"]\n')
+    assert any("did you mean grow?" in problem for problem in problems(path))
 
 
 def test_the_real_environment_is_read_when_none_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,7 +202,9 @@ def test_lists_of_an_extended_study_are_replaced_not_joined(tmp_path: Path) -> N
     assert section["rate_hz"] == 60
 
 
-def test_relative_paths_are_relative_to_the_file_that_says_them(tmp_path: Path) -> None:
+def test_relative_paths_are_relative_to_the_file_that_says_them_and_those_of_settings_to_the_current_folder(
+    tmp_path: Path,
+) -> None:
     path = chain_of(
         tmp_path,
         **{
@@ -254,9 +234,8 @@ def test_relative_paths_are_relative_to_the_file_that_says_them(tmp_path: Path) 
 def test_a_study_that_extends_nothing_or_itself_is_one_sentence(
     tmp_path: Path, texts: dict[str, str], sentence: str
 ) -> None:
-    found = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
-    assert len(found) == 1
-    assert sentence in found[0]
+    (found,) = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
+    assert sentence in found
 
 
 def test_every_study_that_ships_can_be_run_or_is_extended_by_one_that_can() -> None:
@@ -269,13 +248,13 @@ def test_every_study_that_ships_can_be_run_or_is_extended_by_one_that_can() -> N
             assert load_study(name, load_graph(), environment={})[0].name == name
 
 
-def test_the_title_of_a_study_heads_its_report_where_the_report_has_none_of_its_own(tmp_path: Path) -> None:
-    text = '[study]\nname = "s"\ntitle = "Two people"\n[evaluation]\n'
-    for own, title in (("", "Two people"), ('title = "Other"\n', "Other")):
-        file = tmp_path / "s.toml"
-        file.write_text(text + own)
-        study, _ = load_study(str(file), load_graph())
-        assert study.parameters["evaluation"].model_dump()["title"] == title
+@pytest.mark.parametrize(("key", "title"), [("", "Two people"), ('title = "Other"\n', "Other")])
+def test_the_title_of_a_study_heads_its_report_where_the_report_has_none_of_its_own(
+    tmp_path: Path, key: str, title: str
+) -> None:
+    path = chain_of(tmp_path, mine=f'{HEAD}title = "Two people"\n[evaluation]\n{key}')
+    study, _ = load_study(str(path), load_graph())
+    assert study.parameters["evaluation"].model_dump()["title"] == title
 
 
 def test_the_demo_holds_out_enough_short_takes_to_be_judged_over_takes() -> None:

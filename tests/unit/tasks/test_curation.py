@@ -38,6 +38,7 @@ from tasks.training.items import StoredVariants
 from tasks.training.parameters import TrainingParameters
 from tasks.training.plan import plan as plan_training
 from tasks.windows import PairDataset
+from tests.builders.command_line import CommandLine
 from tests.builders.ingest_runs import duet_store
 from tests.builders.storage_rows import put, random_columns
 
@@ -66,16 +67,19 @@ def rejected(store: Store, file: Path, *, row: int = 0, reason: str = "feet slid
     return choice
 
 
+@pytest.fixture
+def export(built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine) -> CommandLine:
+    """Return the command that exports the variants to the folder `out`."""
+    return invoke.of("export", "variants:short", "--out", tmp_path / "out").at(built[0])
+
+
 def test_the_file_is_read_back_and_equal_choices_are_equal_files(tmp_path: Path) -> None:
     choices = [Choice("reject", "variants", "b/x", "0" * 12, "slides  a lot"), Choice("accept", "draws", "a", "1" * 12)]
-    one, other = tmp_path / "one.txt", tmp_path / "deep" / "other.txt"
-    write_choices(one, choices)
-    write_choices(other, reversed(choices))
-    assert one.read_bytes() == other.read_bytes()
-    assert list(read_choices(one).values()) == [
-        choices[1],
-        Choice("reject", "variants", "b/x", "0" * 12, "slides a lot"),
-    ]
+    first, second = tmp_path / "one.txt", tmp_path / "deep" / "other.txt"
+    write_choices(first, choices)
+    write_choices(second, reversed(choices))
+    assert first.read_bytes() == second.read_bytes()
+    assert list(read_choices(first).values()) == [choices[1], replace(choices[0], reason="slides a lot")]
     assert read_choices(tmp_path / "none.txt") == {}
 
 
@@ -99,87 +103,62 @@ def test_a_line_that_is_no_choice_is_named(tmp_path: Path, line: str) -> None:
 
 
 def test_a_choice_names_take_variant_and_content_and_can_be_taken_back(
-    built: tuple[Store, StageInputs], tmp_path: Path
+    built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine
 ) -> None:
     store, _ = built
     file = tmp_path / "choices.txt"
     choice = rejected(store, file, row=3)
-    own = open_table("variants:short", store)
-    first = own["body22_m"][own["variant_id"] == "A-uniform-0.80"]
+    rows = open_table("variants:short", store)
+    first = rows["body22_m"][rows["variant_id"] == "A-uniform-0.80"]
     assert choice == Choice("reject", "variants", NAME, content_of(first), "feet slide")
     assert Choosing(file).words("variants", NAME, "f" * 12).startswith("rejected: feet slide (it had other content")
-    assert run_command_line(["curate", "undo", "variants:short#3", "--curation", str(file), "--store", str(store)]) == 0
+    invoke("curate", "undo", "variants:short#3", "--curation", file, "--store", store)
     assert read_choices(file) == {}
 
 
 def test_exports_leave_out_what_is_rejected_but_not_what_was_built_otherwise_since(
-    built: tuple[Store, StageInputs], tmp_path: Path
+    built: tuple[Store, StageInputs], tmp_path: Path, export: CommandLine
 ) -> None:
     store, _ = built
-    file = tmp_path / "choices.txt"
+    file, out = tmp_path / "choices.txt", tmp_path / "out"
+
+    def variants() -> set[str]:
+        return set(np.load(out / "variants.npz")["variant_id"].tolist())
+
+    export("--format", "npz")
+    everything = variants()
     choice = rejected(store, file)
-
-    def exported(out: str, **more: Path) -> set[str]:
-        export_reference(store, "variants:short", "npz", tmp_path / out, **more)  # type: ignore[arg-type]
-        return set(np.load(tmp_path / out / "variants.npz")["variant_id"].tolist())
-
-    everything = exported("all")
-    assert everything - exported("chosen", curation=file) == {"A-uniform-0.80"}
+    said = export("--format", "npz", "--curation", file).out
+    assert everything - variants() == {"A-uniform-0.80"}
+    assert "left out, as somebody rejected it: 1 of variants" in said
+    page = (out / LOOK).read_text(encoding="utf-8")
+    assert ("A-uniform-0.95" in page, "A-uniform-0.80" in page) == (True, False)
     export_reference(store, "variants:short", "bvh", tmp_path / "bvh", curation=file)
     assert len(list((tmp_path / "bvh").glob("*0.80*.bvh"))) == 0
     assert len(list((tmp_path / "bvh").glob("*0.95*.bvh"))) == 2
-    write_choices(file, [Choice("reject", "variants", NAME, "f" * 12, choice.reason)])
-    assert exported("rebuilt", curation=file) == everything
+    write_choices(file, [replace(choice, content="f" * 12)])
+    export("--format", "npz", "--curation", file)
+    assert variants() == everything
 
 
 @pytest.mark.parametrize("file_format", ["npz", "bvh"])
 def test_an_export_of_which_everything_is_rejected_is_refused_and_writes_nothing(
-    built: tuple[Store, StageInputs], tmp_path: Path, file_format: str, capsys: pytest.CaptureFixture[str]
+    built: tuple[Store, StageInputs], tmp_path: Path, export: CommandLine, file_format: str
 ) -> None:
     store, _ = built
-    file, out, own = tmp_path / "choices.txt", tmp_path / "out", open_table("variants:short", store)
-    contents = {name: content_of(own["body22_m"][own["variant_id"] == name]) for name in set(own["variant_id"])}
-    write_choices(file, [Choice("reject", "variants", f"waltz/{name}", one) for name, one in contents.items()])
-    words = ["export", "variants:short", "--format", file_format, "--out", str(out), "--curation", str(file)]
-    assert run_command_line([*words, "--store", str(store)]) == 2
-    assert "'variants:short': all of it is rejected" in capsys.readouterr().err
-    assert not out.exists()
+    file, rows = tmp_path / "choices.txt", open_table("variants:short", store)
+    contents = {name: content_of(rows["body22_m"][rows["variant_id"] == name]) for name in set(rows["variant_id"])}
+    write_choices(file, [Choice("reject", "variants", f"waltz/{name}", content) for name, content in contents.items()])
+    said = export.refusal("--format", file_format, "--curation", file)
+    assert "'variants:short': all of it is rejected" in said
+    assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match="'variants:short': every variant failed, or is left out by the choices"):
         PairDataset("variants:short", 5, store=store, curation=file)
 
 
-def test_an_export_by_a_file_of_choices_that_is_not_there_is_refused(
-    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store, _ = built
-    words = ["export", "variants:short", "--format", "npz", "--out", str(tmp_path / "out"), "--store", str(store)]
-    assert run_command_line([*words, "--curation", str(tmp_path / "misspelt.txt")]) == 2
-    assert f"there is no file {tmp_path / 'misspelt.txt'}" in capsys.readouterr().err
-
-
-def test_windows_to_train_on_leave_out_what_a_file_rejects(built: tuple[Store, StageInputs], tmp_path: Path) -> None:
-    store, _ = built
-    file = tmp_path / "choices.txt"
-    rejected(store, file)
-
-    def names(curation: Path | None) -> set[str]:
-        items = PairDataset("variants:short", 5, store=store, curation=curation)
-        return {items[at]["name"] for at in range(len(items))}
-
-    assert names(None) - names(file) == {"waltz, A-uniform-0.80"}
-
-
-def test_an_export_says_how_much_is_rejected_and_its_player_shows_none_of_it(
-    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store, _ = built
-    file, out = tmp_path / "choices.txt", tmp_path / "out"
-    rejected(store, file)
-    words = ["export", "variants:short", "--format", "npz", "--out", str(out), "--curation", str(file)]
-    assert run_command_line([*words, "--store", str(store)]) == 0
-    assert "left out, as somebody rejected it: 1 of variants" in capsys.readouterr().out
-    page = (out / LOOK).read_text(encoding="utf-8")
-    assert ("A-uniform-0.95" in page, "A-uniform-0.80" in page) == (True, False)
+def test_an_export_by_a_file_of_choices_that_is_not_there_is_refused(tmp_path: Path, export: CommandLine) -> None:
+    absent = tmp_path / "misspelt.txt"
+    assert f"there is no file {absent}" in export.refusal("--format", "npz", "--curation", absent)
 
 
 def test_a_single_image_is_decided_by_itself_and_what_reads_it_knows(tmp_path: Path) -> None:
@@ -205,14 +184,19 @@ def video(tmp_path: Path) -> tuple[Store, str]:
     return store, f"motions@{ref.key}"
 
 
-def reject_clip(store: Store, reference: str, file: Path, frames: str) -> int:
-    words = ["curate", "reject", f"{reference}#0", "--frames", frames, "--reason", "foot lost"]
-    return run_command_line([*words, "--curation", str(file), "--store", str(store.root)])
+@pytest.fixture
+def reject_clip(video: tuple[Store, str], tmp_path: Path, invoke: CommandLine) -> CommandLine:
+    """Return the command that rejects frames of the reconstruction."""
+    store, reference = video
+    words = ("--reason", "foot lost", "--curation", tmp_path / "choices.txt", "--frames")
+    return invoke.at(store).of("curate", "reject", f"{reference}#0", *words)
 
 
-def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(video: tuple[Store, str], tmp_path: Path) -> None:
+def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(
+    video: tuple[Store, str], tmp_path: Path, reject_clip: CommandLine
+) -> None:
     (store, reference), file = video, tmp_path / "choices.txt"
-    assert reject_clip(store, reference, file, "5-6") == 0
+    reject_clip("5-6")
     (choice,) = read_choices(file).values()
     whole = open_table(reference, store)
     inside = np.isin(whole["frame"], [5, 6])
@@ -229,14 +213,16 @@ def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(video: tuple[Store
     assert Data(store, file).table(reference).num_rows == 12, "it had other content then"
 
 
-def test_what_lies_between_rejected_clips_is_a_motion_of_its_own(video: tuple[Store, str], tmp_path: Path) -> None:
+def test_what_lies_between_rejected_clips_is_a_motion_of_its_own(
+    video: tuple[Store, str], tmp_path: Path, reject_clip: CommandLine
+) -> None:
     (store, reference), file = video, tmp_path / "choices.txt"
     for frames in ("5-5", "8-8"):
-        assert reject_clip(store, reference, file, frames) == 0
+        reject_clip(frames)
     parsed = parse_reference(reference)
     export = Export(store, reference, parsed, tuple(resolve(parsed, store)), choices=as_settings(read_choices(file)))
     rows = store.read(export.refs[0], "motions")
-    parts = [(*key, *clip, sorted(set(rows["frame"][own]))) for key, own, *clip in _kept_parts(rows, export.left_out)]
+    parts = [(*key, *clip, sorted(set(rows["frame"][at]))) for key, at, *clip in _kept_parts(rows, export.left_out)]
     assert parts == [("video", "fit", "3-4", [3, 4]), ("video", "fit", "6-7", [6, 7])]
 
 
@@ -257,23 +243,22 @@ def test_a_reconstruction_of_which_nothing_is_rejected_is_one_motion_also_where_
         ("5", "--frames 5: a clip is FIRST-LAST"),
     ],
 )
-def test_a_clip_that_is_not_there_is_refused(
-    video: tuple[Store, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], frames: str, said: str
+def test_a_clip_that_is_not_there_is_refused(tmp_path: Path, reject_clip: CommandLine, frames: str, said: str) -> None:
+    assert said in reject_clip.refusal(frames)
+    assert not (tmp_path / "choices.txt").exists()
+
+
+def test_windows_to_train_on_and_objects_for_python_leave_out_what_a_file_rejects(
+    built: tuple[Store, StageInputs], tmp_path: Path
 ) -> None:
-    file = tmp_path / "choices.txt"
-    assert reject_clip(*video, file, frames) == 2
-    assert said in capsys.readouterr().err
-    assert not file.exists()
-
-
-def test_objects_for_python_leave_out_what_the_study_rejects(built: tuple[Store, StageInputs], tmp_path: Path) -> None:
     store, _ = built
     file = tmp_path / "choices.txt"
     rejected(store, file)
+    all_items, items = (PairDataset("variants:short", 5, store=store, curation=choices) for choices in (None, file))
+    assert {item["name"] for item in all_items} - {item["name"] for item in items} == {"waltz, A-uniform-0.80"}
     everything, chosen = Data(store), Data(store, file)
-    assert {one.name for one in everything.variants("short")} - {one.name for one in chosen.variants("short")} == {
-        "waltz, A-uniform-0.80"
-    }
+    left_out = {variant.name for variant in everything.variants("short")}
+    assert left_out - {variant.name for variant in chosen.variants("short")} == {"waltz, A-uniform-0.80"}
     rows = chosen.table("variants:short", ["frame"])
     assert rows.num_rows == 0.75 * open_table("variants:short", store).num_rows
     assert [column.name for column in rows.rows.schema] == ["frame"]
@@ -287,31 +272,28 @@ def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(
 ) -> None:
     store, inputs = built
     choice = rejected(store, tmp_path / "choices.txt")
-    plain = plan_training(inputs, TrainingParameters())
-    other = Choice("reject", "variants", "other_take/A-uniform-0.80", "0" * 12)
-    elsewhere = as_settings({other.about: other})
-    assert [one.key for one in plan_training(inputs, TrainingParameters(choices=elsewhere))] == [
-        one.key for one in plain
-    ]
-    chosen = plan_training(inputs, TrainingParameters(choices=as_settings({choice.about: choice})))
-    assert not {one.key for one in plain} & {one.key for one in chosen}
-    takes, made = ([one.ref for one in inputs.of(table)] for table in ("poses", "variants"))
+
+    def keys(*choices: Choice) -> list[str]:
+        settings = as_settings({choice.about: choice for choice in choices})
+        return [shard.key for shard in plan_training(inputs, TrainingParameters(choices=settings))]
+
+    assert keys(Choice("reject", "variants", "other_take/A-uniform-0.80", "0" * 12)) == keys()
+    assert not {*keys()} & {*keys(choice)}
+    takes, made = ([manifest.ref for manifest in inputs.of(table)] for table in ("poses", "variants"))
     names = {name for _, name in StoredVariants(store, takes, made).sound_names("waltz")}
     kept = StoredVariants(store, takes, made, rejected=rejections(as_settings({choice.about: choice}), "variants"))
     assert names - {name for _, name in kept.sound_names("waltz")} == {"A-uniform-0.80"}
 
 
 def test_a_reference_to_several_variants_is_refused_and_a_rejection_says_who_heeds_it(
-    built: tuple[Store, StageInputs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine
 ) -> None:
-    store, _ = built
     file = tmp_path / "choices.txt"
-    words = ["--curation", str(file), "--store", str(store)]
-    assert run_command_line(["curate", "reject", "variants:short/waltz", *words]) == 2
-    assert "names several things, waltz/A-uniform-0.80 (row 0) to waltz/A-uniform-1.20" in capsys.readouterr().err
+    reject = invoke.of("curate", "reject", "--curation", file).at(built[0])
+    said = reject.refusal("variants:short/waltz")
+    assert "names several things, waltz/A-uniform-0.80 (row 0) to waltz/A-uniform-1.20" in said
     assert not file.exists()
-    assert run_command_line(["curate", "reject", "poses:short/waltz", *words]) == 0, "one take"
-    assert f"--curation {file}" in capsys.readouterr().out
+    assert f"--curation {file}" in reject("poses:short/waltz").out, "one take"
     assert [choice.about for choice in read_choices(file).values()] == ["poses waltz"]
 
 
@@ -322,18 +304,16 @@ def test_a_study_says_what_its_file_said_and_is_built_again_without_the_file(tmp
     with pytest.raises(StudyError, match=r"curation.file: there is no file"):
         load_study(str(study), load_graph())
     write_choices(file, [choice])
-    loaded, _ = load_study(str(study), load_graph())
-    said = loaded.resolved()
-    assert said["curation"]["choices"] == {f"variants {NAME}": "reject 000000000000 feet slide"}
-    assert "choices" not in said["training"]
-    bare, _ = load_study("duets", load_graph())
-    assert changed_leaves(bare.resolved()["curation"], said["curation"])[f"choices.variants {NAME}"] == (
-        "",
-        '"reject 000000000000 feet slide"',
-    ), "what `diff` shows"
+    resolved = load_study(str(study), load_graph())[0].resolved()
+    said = "reject 000000000000 feet slide"
+    assert resolved["curation"]["choices"] == {f"variants {NAME}": said}
+    assert "choices" not in resolved["training"]
+    bare = load_study("duets", load_graph())[0].resolved()
+    leaves = changed_leaves(bare["curation"], resolved["curation"])
+    assert leaves[f"choices.variants {NAME}"] == ("", f'"{said}"'), "what `diff` shows"
     file.unlink()
-    again, _ = study_from_record(said, [], load_graph())
-    assert again.resolved()["curation"]["choices"] == said["curation"]["choices"]
+    again, _ = study_from_record(resolved, [], load_graph())
+    assert again.resolved()["curation"]["choices"] == resolved["curation"]["choices"]
     file.write_text("nonsense\n")
     with pytest.raises(StudyError, match=r"choices.txt, line 1"):
         load_study(str(study), load_graph())

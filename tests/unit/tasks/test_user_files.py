@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.console.app import run_command_line
 from flows.console.live import _read as read_live_frame
 from pasdedeux.errors import InputError
 from tasks.files.curation import choices_in
@@ -24,6 +23,7 @@ from tasks.ingest.film.readers import open_film
 from tasks.ingest.poses2d.readers import open_capture
 from tasks.ingest.takes.known_sources import was_fetched
 from tasks.shards.profiles import read_profile
+from tests.builders.command_line import CommandLine
 
 ROOT = Path(__file__).parents[3]
 KINDS = {"folder": "a folder", "pipe": "a pipe", "socket": "a socket", "device": "a device", "link": "a device"}
@@ -95,12 +95,11 @@ def test_what_is_no_regular_file_is_refused_at_once(reader: str, strange: tuple[
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_no_command_waits_for_a_pipe(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_command_waits_for_a_pipe(command: str, tmp_path: Path, invoke: CommandLine) -> None:
     path = tmp_path / ("pipe.mp4" if "annotate" in command or "videos" in command else "pipe.toml")
     os.mkfifo(path)
     words = [word.format(path=path, out=tmp_path / "out.toml", key="0" * 64) for word in command.split()]
-    assert run_command_line(words) == 2
-    assert "is a pipe, and a regular file is needed" in capsys.readouterr().err
+    assert "is a pipe, and a regular file is needed" in invoke(*words, code=2).err
 
 
 def test_a_pipe_beside_files_or_among_live_frames_is_passed_by(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -42,11 +43,12 @@ def painted(seed: int, frame: int) -> np.ndarray:
     return image
 
 
-def write_keys(path: Path, frames: list[int], *, notes: str = "") -> Path:
+def write_keys(path: Path, frames: Iterable[int], *, notes: str = "", scale: tuple[float, float] = (1.0, 1.0)) -> Path:
+    """Write both walkers in these frames as our CSV, pixels times a scale."""
     lines = [f"# layout: coco17\n{notes}frame,person,joint,x,y"]
     for frame in frames:
         for person in range(2):
-            for name, (x, y) in zip(NAMES, walker_px(frame, person), strict=True):
-                lines.append(f"{frame},{person},{name},{x:.3f},{y:.3f}")
+            for name, (x, y) in zip(NAMES, walker_px(frame, person) * scale, strict=True):
+                lines.append(f"{frame},{person},{name},{x:.6f},{y:.6f}")
     path.write_text("\n".join(lines) + "\n")
     return path

@@ -35,20 +35,20 @@ def openpose(points: np.ndarray) -> str:
     return json.dumps({"version": 1.3, "people": people})
 
 
-def _walkers(num_frames: int) -> np.ndarray:
+def walkers(num_frames: int) -> np.ndarray:
     walkers = [walk(num_frames, seed=50 + i, rate_hz=30.0) + np.array([1.4 * i, 0.0, 0.0]) for i in (0, 1)]
     return np.stack(walkers, axis=1)
 
 
 def camera_of(yaw_rad: float, num_frames: int = FRAMES) -> PinholeCamera:
     """Return the camera that sees the walkers from a side."""
-    middle = mid_hip(_walkers(num_frames)).mean(axis=(0, 1))
+    middle = mid_hip(walkers(num_frames)).mean(axis=(0, 1))
     return look_at_camera(middle, distance_m=5.0, yaw_rad=yaw_rad, pitch_rad=0.1, focal_px=1400.0)
 
 
 def write_walkers(folder: Path, num_frames: int = FRAMES, *, yaw_rad: float = 0.3) -> Path:
     """Write OpenPose files of two walkers, listed in changing order, seen from a side."""
-    for frame, points in enumerate(camera_of(yaw_rad, num_frames).project(_walkers(num_frames)).px):
+    for frame, points in enumerate(camera_of(yaw_rad, num_frames).project(walkers(num_frames)).px):
         listed = points[::-1] if frame % 2 else points
         (folder / f"film_{frame:012d}_keypoints.json").write_text(openpose(listed))
     return folder

@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -54,9 +55,8 @@ from storage_schema import (
     source_credits,
 )
 from storage_schema.encoding import encode
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
 from tests.builders.body_models import body_model
+from tests.builders.ingest_runs import planned, run
 from tests.builders.made_poses import NUM_LIFTED, put_made_poses
 from tests.builders.mp4_boxes import with_durations
 from tests.builders.rendered_film import write_film
@@ -64,6 +64,8 @@ from tests.builders.storage_rows import put, random_columns
 from tests.builders.stored_models import put_model
 
 NUM_SEEDS = 2
+NUM_FRAMES = 15
+RATE_HZ = 12.5
 CREDIT = SourceCredit(name="a studio", licence="CC0", credit="Made by a studio")
 
 
@@ -71,27 +73,13 @@ CREDIT = SourceCredit(name="a studio", licence="CC0", credit="Made by a studio")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """Return a store with a short duet, its virtual video, and two seeds; its artifacts are named by table."""
     store = Store(tmp_path_factory.mktemp("exports"))
-    section = {"duets": [{"name": "waltz", "duration_s": 0.5}], "virtual_video": {"num_random_views": 2}}
-    for shard in STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section)):
-        STAGE.run_shard(shard, store)
+    duet = {"name": "waltz", "duration_s": NUM_FRAMES / RATE_HZ}
+    run(store, planned(rate_hz=RATE_HZ, duets=[duet], virtual_video={"num_random_views": 2}))
     columns = random_columns("seeds", NUM_SEEDS) | {
         "seed_index": np.arange(NUM_SEEDS),
         "pair17_m": random_pairs(np.random.default_rng(0), NUM_SEEDS, spread_rad=0.1),
     }
-    store.commit(
-        stage="seeds",
-        key="5" * 64,
-        partition="seed0",
-        name="seeds",
-        version=1,
-        parameters={},
-        seed=0,
-        inputs=[],
-        files=[],
-        tables={"seeds": columns},
-        facts={},
-        sources=[CREDIT],
-    )
+    put(store, "seeds", "seed0", {"seeds": columns}, {}, source=CREDIT)
     put_made_poses(store)
     put_model(store, CopyModel(), "random", [one for one in store.artifacts("ingest") if "poses" in one.tables])
     return store
@@ -104,6 +92,12 @@ def poses_of(text: str, store: Store) -> np.ndarray:
         order = np.lexsort((rows["person"], rows["frame"], *([rows["variant_id"]] if "variant_id" in rows else [])))
         return rows["body22_m"][order].reshape(-1, 2, 22, 3)
     return rows["pair17_m"]
+
+
+def rate_of(text: str) -> float | None:
+    """Return the frame rate of what a reference names; none where nothing moves."""
+    rates_hz = {"poses": RATE_HZ, "variants": RATE_HZ, "motions": 30.0}
+    return rates_hz.get(text.partition("@")[0])
 
 
 def references(store: Store) -> dict[str, str]:
@@ -140,6 +134,9 @@ def check_csv(paths: list[Path], text: str, store: Store) -> None:
     assert len(set(header)) == len(header)
     assert list(dict.fromkeys(name.partition(".")[0] for name in header)) == list(rows.column_names)
     assert [len(line) for line in lines] == [len(header)] * rows.num_rows
+    for name in {"person", "time_s", "body22_m", "pair17_m"}.intersection(told):
+        cells = [[line[at] for at in range(len(header)) if header[at].partition(".")[0] == name] for line in lines]
+        np.testing.assert_allclose(np.array(cells, dtype=float), np.reshape(rows[name], (len(lines), -1)), rtol=1e-6)
 
 
 def options_of(name: str, folder: Path) -> dict[str, Any]:
@@ -160,14 +157,18 @@ def names_in(paths: list[Path], suffix: str) -> list[Path]:
 
 def check_bvh(paths: list[Path], text: str, store: Store) -> None:
     motions = names_in(paths, ".bvh")
-    count = 15 if text.startswith(("poses", "variants")) else NUM_SEEDS if text.startswith("seeds") else NUM_LIFTED
+    counts = {"poses": NUM_FRAMES, "variants": NUM_FRAMES, "seeds": NUM_SEEDS}
     assert [path.stem[-2:] for path in motions] == [".A", ".B"] * (2 if text.startswith("variants") else 1)
     for path in motions:
-        source = read_bvh(path.read_bytes())
-        assert source.num_frames == count
-        assert pybvh.read_bvh_file(path).frame_count == count
+        source, as_others_read = read_bvh(path.read_bytes()), pybvh.read_bvh_file(path)
+        assert source.num_frames == as_others_read.frame_count == counts.get(text.partition("@")[0], NUM_LIFTED)
         stature = np.ptp(source.to_motion(metres_per_unit=0.01, rate_hz=30.0).world()[0][0], axis=0).max()
         assert 1.0 < stature < 2.5
+        if rate_hz := rate_of(text):
+            assert as_others_read.frame_time == pytest.approx(1.0 / rate_hz, abs=1e-6)
+        if text.startswith("poses"):
+            pelvis_m = poses_of(text, store)[:, "AB".index(path.stem[-1]), BODY22.root]
+            np.testing.assert_allclose(as_others_read.root_pos / 100.0, pelvis_m, atol=2e-5)
 
 
 def check_glb(paths: list[Path], text: str, store: Store) -> None:
@@ -176,7 +177,9 @@ def check_glb(paths: list[Path], text: str, store: Store) -> None:
         assert [skin.name for skin in file.skins] == ["A", "B"]
         assert "licence:" in file.asset.copyright
         assert file.asset.extras["unit"] == "m"
-        assert "Y up" in file.asset.extras["axes"] or "y up" in file.asset.extras["axes"]
+        assert "y up" in file.asset.extras["axes"].lower()
+        times_s, rate_hz = glb_values(file, file.animations[0].samplers[0].input)[:, 0], rate_of(text)
+        np.testing.assert_allclose(times_s, np.arange(len(times_s)) / rate_hz if rate_hz else times_s, atol=1e-6)
     found = np.concatenate([joints_of(file) for file in files])
     if text.startswith("motions"):
         assert found.shape == (NUM_LIFTED, 2, 27, 3)
@@ -186,15 +189,17 @@ def check_glb(paths: list[Path], text: str, store: Store) -> None:
         np.testing.assert_allclose(found[:, :, : wanted.shape[2]], wanted, atol=1e-4)
 
 
+def glb_values(file: pygltflib.GLTF2, number: int, dtype: str = "<f4") -> np.ndarray:
+    """Return what an accessor of a file gives, an element a row."""
+    accessor = file.accessors[number]
+    view = file.bufferViews[accessor.bufferView]
+    data = file.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
+    return np.frombuffer(data, dtype).reshape(accessor.count, -1)
+
+
 def joints_of(file: pygltflib.GLTF2) -> np.ndarray:
     """Return the joints (frame, person, J, 3) of a file, by its matrices, and check that bodies lie round them."""
-
-    def values(accessor: int, dtype: str = "<f4") -> np.ndarray:
-        one = file.accessors[accessor]
-        start = file.bufferViews[one.bufferView].byteOffset
-        stop = start + file.bufferViews[one.bufferView].byteLength
-        return np.frombuffer(file.binary_blob()[start:stop], dtype).reshape(one.count, -1)
-
+    values = partial(glb_values, file)
     (moving,) = file.animations
     tracks = {(c.target.node, c.target.path): values(moving.samplers[c.sampler].output) for c in moving.channels}
     num_frames = len(values(moving.samplers[0].input))
@@ -225,13 +230,21 @@ def joints_of(file: pygltflib.GLTF2) -> np.ndarray:
 
 def check_c3d(paths: list[Path], text: str, store: Store) -> None:
     files = [ezc3d.c3d(str(path)) for path in names_in(paths, ".c3d")]
-    point = files[0]["parameters"]["POINT"]
-    assert point["UNITS"]["value"] == ["mm"]
-    assert point["LABELS"]["value"][0] == "A:pelvis"
-    assert point["LABELS"]["value"][-1].startswith("B:")
-    assert "licence:" in "".join(files[0]["parameters"]["PASDEDEUX"]["CREDIT"]["value"])
+    for file in files:
+        point = file["parameters"]["POINT"]
+        assert point["UNITS"]["value"] == ["mm"]
+        assert point["LABELS"]["value"] == labels_of(len(point["LABELS"]["value"]))
+        head = file["header"]["points"]
+        assert (head["first_frame"], head["frame_rate"]) == (0, rate_of(text) or head["frame_rate"])
+        assert "licence:" in "".join(file["parameters"]["PASDEDEUX"]["CREDIT"]["value"])
     found = np.concatenate([file["data"]["points"][:3].transpose(2, 1, 0) for file in files]) / 1e3
     check_points(found, text, store)
+
+
+def labels_of(count: int) -> list[str]:
+    """Return the labels of the joints of both people, so many in all."""
+    joints = WORKING_SKELETONS["body22" if count == 44 else "pair17"].joint_names
+    return [f"{who}:{joint}" for who in "AB" for joint in joints]
 
 
 def check_trc(paths: list[Path], text: str, store: Store) -> None:
@@ -240,13 +253,11 @@ def check_trc(paths: list[Path], text: str, store: Store) -> None:
         lines = path.read_text().split("\n")
         head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
         labels = lines[3].split("\t")[2::3]
-        joints = WORKING_SKELETONS["body22" if len(labels) == 44 else "pair17"].joint_names
-        assert labels == [f"{who}:{joint}" for who in "AB" for joint in joints]
+        assert labels == labels_of(len(labels))
         assert lines[4].split("\t")[2:] == [f"{axis}{at}" for at in range(1, len(labels) + 1) for axis in "XYZ"]
         rows = np.loadtxt(lines[6:], delimiter="\t", ndmin=2)
         rate, count = float(head["DataRate"]), len(rows)
-        is_moving = text.startswith(("poses", "variants", "motions"))
-        assert rate == 30.0 or not is_moving
+        assert rate == (rate_of(text) or rate)
         assert (float(head["CameraRate"]), float(head["OrigDataRate"]), head["OrigDataStartFrame"]) == (rate, rate, "1")
         assert (head["Units"], head["NumMarkers"]) == ("m", str(len(labels)))
         assert (head["NumFrames"], head["OrigNumFrames"]) == (str(count), str(count))
@@ -269,7 +280,7 @@ def check_smpl(paths: list[Path], text: str, store: Store) -> None:
     assert [path.stem[-2:] for path in found] == [".A", ".B"] * (2 if text.startswith("variants") else 1)
     for path in found:
         source = MOTION_FORMATS["smpl"].read(path.read_bytes(), body_model("SMPL"))
-        assert source.num_frames == (NUM_LIFTED if text.startswith("motions") else 15)
+        assert source.num_frames == (NUM_LIFTED if text.startswith("motions") else NUM_FRAMES)
         assert "licence:" in str(np.load(path)["credit"])
 
 
@@ -657,6 +668,7 @@ def test_contacts_go_out_as_a_table_with_points_on_both_bodies(store: Store, tmp
             np.testing.assert_allclose(point[row], start + share[row] * (end - start), atol=1e-5)
     between = np.linalg.norm(rows["point_m"] - rows["partner_point_m"], axis=-1)
     np.testing.assert_allclose(rows["distance_m"], between, atol=1e-5)
+    np.testing.assert_allclose(rows["time_s"], rows["frame"] / RATE_HZ, atol=1e-12)
     assert (rows["gap_m"] < rows["distance_m"]).all()
     assert np.abs(rows["gap_m"][rows["is_held"]]).max() < 0.2
     np.testing.assert_array_equal(rows["is_held"], rows["weight"] >= 0.5)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from storage_schema import Store, verify
-from tests.builders.real_study import SMALL, Answer, RealRun, build_here, call_in_process, refused
+from tests.builders.real_study import SMALL, RealRun, build_here, call_in_process, refused
 
 ONE_TAKE = """
 [study]
@@ -33,15 +33,8 @@ def write(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("num_chains", "num_chain", "chains.num_chain: unknown; did you mean num_chains?"),
-        ("[augmentation]", "[augmentations]", "augmentations: unknown; did you mean augmentation?"),
         ("duration_s = 1.5", "duration = 1.5", "ingest.duets.1.duration: unknown; did you mean duration_s?"),
-        (
-            '"prior_only"',
-            '"prior_onli"',
-            "chains.densities.1: there is no density 'prior_onli'; there are: ic, cartesian, shape_context, prior_only"
-            "; found 'prior_onli'",
-        ),
+        ('"prior_only"', '"prior_onli"', "chains.densities.1: there is no density 'prior_onli'; there are: ic, cart"),
     ],
 )
 def test_what_a_study_says_wrongly_is_named_with_its_full_path(
@@ -55,7 +48,6 @@ def test_what_a_study_says_wrongly_is_named_with_its_full_path(
 def test_seeds_that_no_take_has_are_refused_where_it_can_be_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study = write(tmp_path, SMALL)
     before_seeds = SMALL.replace('name = "small"', 'name = "small"\nstages = ["ingest", "priors", "views"]')
     build_here(write(tmp_path, before_seeds), tmp_path / "store")
     study = write(tmp_path, SMALL)
@@ -88,31 +80,10 @@ def test_a_store_of_a_newer_program_is_refused_and_left_alone(
         ("dataset", "create", "d", "--study", "one", "--store", store),
     ):
         found = call_in_process(capsys, *arguments)
-        assert found.code == 2, found
-        assert found.err.count("\n") == 1
-        assert str(store) in found.err
-        assert "newer" in found.err
-        assert "999" in found.err
+        assert (found.code, found.err.count("\n")) == (2, 1), found
+        assert all(words in found.err for words in (str(store), "newer", "999"))
     assert sorted(path for path in store.rglob("*")) == before
     assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_that_is_no_store_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study = write(tmp_path, ONE_TAKE)
-    (tmp_path / "store").write_text("I am a file")
-    found = call_in_process(capsys, "run", study, "--store", tmp_path / "store")
-    assert found.code == 2, found
-    assert str(tmp_path / "store") in found.err
-    assert found.err.count("\n") == 1
-
-
-def test_a_reference_to_nothing_says_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study = write(tmp_path, ONE_TAKE)
-    build_here(study, tmp_path / "store")
-    for reference in ("draws:one", "takes:two", "takes:one/tango", "tables:one", "takes@ffff", "takes", "takes:one#99"):
-        found = call_in_process(capsys, "show", reference, "--store", tmp_path / "store")
-        assert (found.code, found.out) == (2, ""), found
-        assert found.err.count("\n") == 1, found
 
 
 def test_next_to_no_room_is_refused_before_any_work(
@@ -148,17 +119,13 @@ main(sys.argv[1:])
 """
 
 
-def run_on_a_disk_with_room_for(writes: int, study: Path, prefect_home: Path) -> Answer:
-    arguments = (str(writes), "run", study, "--store", study.parent / "store", "--workers", "0")
-    return RealRun(*arguments, prefect_home=prefect_home, program=("-c", FILL)).finish()
-
-
 @pytest.mark.slow
 def test_a_disk_that_fills_up_during_a_run_is_one_sentence_with_the_shard_and_the_same_command_finishes(
     tmp_path: Path, prefect_home: Path
 ) -> None:
     study = write(tmp_path, ONE_TAKE)
-    found = run_on_a_disk_with_room_for(30, study, prefect_home)
+    arguments = ("30", "run", study, "--store", tmp_path / "store", "--workers", "0")
+    found = RealRun(*arguments, prefect_home=prefect_home, program=("-c", FILL)).finish()
     assert found.code == 1, found
     last = next(line for line in reversed(found.err.splitlines()) if line.startswith("error: "))
     assert last.startswith("error: stage ingest, hug, shard "), found.err
@@ -169,16 +136,8 @@ def test_a_disk_that_fills_up_during_a_run_is_one_sentence_with_the_shard_and_th
 
     build_here(study, tmp_path / "store")
     build_here(study, tmp_path / "undisturbed")
-    one, other = (
+    mended, undisturbed = (
         {(m.partition, m.name): m.ref.content_digest for m in Store(tmp_path / name).artifacts()}
         for name in ("store", "undisturbed")
     )
-    assert one == other
-
-
-@pytest.mark.slow
-def test_a_disk_without_room_for_the_first_record_is_one_sentence_too(tmp_path: Path, prefect_home: Path) -> None:
-    found = run_on_a_disk_with_room_for(0, write(tmp_path, ONE_TAKE), prefect_home)
-    assert found.code == 1, found
-    assert f"the disk is full: no room left in {tmp_path / 'store'}" in found.err.strip().splitlines()[-1]
-    assert "Traceback" not in found.err
+    assert mended == undisturbed

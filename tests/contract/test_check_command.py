@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import parquet
 
 from benchmarks.check_faults import FAULTS, drift
 from flows.console.app import run_command_line
+from flows.dataset_folder import write_folder
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.choreography.duets import make_duet
@@ -24,9 +25,11 @@ from pasdedeux.formats.rigs.own_skeleton import ended
 from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
+from storage_schema import Store
 from tests.builders.browser import in_browser
 from tests.builders.pages import Page
 from tests.builders.rigs import RIGS
+from tests.builders.stored_datasets import VARIANTS, put_dataset
 
 SAID = {
     "floor offset": "people stand on floors",
@@ -56,11 +59,15 @@ def write_positions(path: Path, people_m: np.ndarray, rate_hz: float) -> None:
     np.savez(path, positions_m=people_m, joint_names=np.array(BODY22.joint_names), rate_hz=rate_hz)
 
 
-def check(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, Mapping[str, Any]]]:
-    """Run the command with --json, and give its exit code and its rows by name."""
-    code = run_command_line(["check", *map(str, arguments), "--json"])
-    said = capsys.readouterr()
-    return code, {row["name"]: row for row in json.loads(said.out or "[]")}
+Checked = tuple[int, dict[str, Mapping[str, Any]]]
+"""Exit code, and rows by name."""
+
+
+def check(page_folder: Path, *arguments: object) -> Checked:
+    """Run the command with --json, its page in a folder."""
+    with redirect_stdout(io.StringIO()) as said:
+        code = run_command_line(["check", *map(str, arguments), "--page", str(page_folder / "page.html"), "--json"])
+    return code, {row["name"]: row for row in json.loads(said.getvalue())}
 
 
 @pytest.fixture(scope="module")
@@ -80,10 +87,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_fault_of_a_folder_is_named(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, rows = check(capsys, folder, "--page", tmp_path / "page.html")
+@pytest.fixture(scope="module")
+def page_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("page")
+
+
+@pytest.fixture(scope="module")
+def checked(folder: Path, page_folder: Path) -> Checked:
+    return check(page_folder, folder)
+
+
+def test_every_fault_of_a_folder_is_named(checked: Checked) -> None:
+    code, rows = checked
     assert code == 2, "a file cannot be read"
-    assert rows.pop("cut")["verdict"] == "unreadable"
+    assert rows["cut"]["verdict"] == "unreadable"
     assert (rows["good"]["verdict"], rows["good"]["reason"]) == ("pass", "")
     assert "one person only" in rows["alone_A"]["reason"]
     assert len(rows["alone_A"]["people"]) == 1
@@ -92,13 +109,10 @@ def test_every_fault_of_a_folder_is_named(folder: Path, tmp_path: Path, capsys: 
         row = rows[kind.replace(" ", "-")]
         assert row["verdict"] in ("warn", "fail"), kind
         assert said in row["reason"], kind
-    assert not (tmp_path / "check.html").exists()
 
 
-def test_json_has_how_files_were_read_and_every_figure(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, rows = check(capsys, folder / "good", "--page", tmp_path / "page.html")
+def test_json_has_how_files_were_read_and_every_figure(folder: Path, tmp_path: Path) -> None:
+    code, rows = check(tmp_path, folder / "good")
     assert code == 0
     row = rows["good"]
     assert row["num_contacts"] >= 1
@@ -111,43 +125,30 @@ def test_json_has_how_files_were_read_and_every_figure(
     assert "source" not in row
 
 
-def test_a_unit_is_told_by_the_bodies_or_by_the_option(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = tmp_path / "page.html"
-    _, guessed = check(capsys, folder / "inches", "--page", page)
-    _, stated = check(capsys, folder / "inches", "--page", page, "--unit", 0.0254)
-    _, wrong = check(capsys, folder / "inches", "--page", page, "--unit", 0.0508)
+def test_a_unit_is_told_by_the_bodies_or_by_the_option(folder: Path, tmp_path: Path) -> None:
+    _, guessed = check(tmp_path, folder / "inches")
+    _, stated = check(tmp_path, folder / "inches", "--unit", 0.0254)
+    _, wrong = check(tmp_path, folder / "inches", "--unit", 0.0508)
     assert guessed["inches"]["people"][0]["metres_per_unit"] == pytest.approx(0.0254)
     assert stated["inches"]["verdict"] == "pass"
     assert "m tall by the legs" in wrong["inches"]["reason"]
 
 
-@pytest.mark.parametrize(("beside", "metres"), [({}, 0.0254), ({"bvh_metres_per_unit": 0.022}, 0.022), (None, 0.0254)])
-def test_the_npz_beside_an_exported_bvh_states_its_unit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], beside: Mapping[str, float] | None, metres: float
-) -> None:
+def test_the_npz_beside_an_exported_bvh_states_its_unit(tmp_path: Path) -> None:
     write_waltz(tmp_path, metres_per_unit=0.0254)
     for path in sorted(tmp_path.glob("*.bvh")):
-        if beside is None:
-            path.with_suffix(".npz").write_text("no npz")
-        else:
-            np.savez(path.with_suffix(".npz"), **beside)
-    _, rows = check(capsys, tmp_path, "--page", tmp_path / "page.html")
-    (row,) = rows.values()
-    assert [person["metres_per_unit"] for person in row["people"]] == pytest.approx([metres] * 2, rel=1e-3)
-    _, rows = check(capsys, tmp_path, "--page", tmp_path / "page.html", "--unit", 0.0254)
-    (row,) = rows.values()
-    assert row["people"][0]["metres_per_unit"] == 0.0254
+        np.savez(path.with_suffix(".npz"), bvh_metres_per_unit=0.022)
+    for options, metres in (((), 0.022), (("--unit", 0.0254), 0.0254)):
+        _, rows = check(tmp_path, tmp_path, *options)
+        (row,) = rows.values()
+        assert [person["metres_per_unit"] for person in row["people"]] == pytest.approx([metres] * 2, rel=1e-3)
 
 
 @pytest.mark.parametrize(("fail_on", "name", "code"), [(None, "twins", 0), ("warn", "good", 0), ("warn", "alone", 1)])
-def test_fail_on_decides_the_exit_code(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fail_on: str | None, name: str, code: int
-) -> None:
+def test_fail_on_decides_the_exit_code(folder: Path, tmp_path: Path, fail_on: str | None, name: str, code: int) -> None:
     path = next(path for path in (folder / name, folder / f"{name}.npz") if path.exists())
     options = ["--fail-on", fail_on] if fail_on else []
-    assert check(capsys, path, "--page", tmp_path / "page.html", *options)[0] == code
+    assert check(tmp_path, path, *options)[0] == code
 
 
 @pytest.mark.parametrize(
@@ -161,29 +162,25 @@ def test_bad_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture
     assert error.count("\n") == 1
 
 
-def test_a_contact_that_drifts_is_found_against_its_source(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_contact_that_drifts_is_found_against_its_source(tmp_path: Path) -> None:
     people, rate_hz = people_of_waltz()
     source = CheckedMotion("waltz", people, rate_hz).source
     scale = np.stack([np.ones(22), np.full(22, 0.9)])
     variant = Augmenter(source).solve([Variation("B", scale)])[0].positions_m
-    for name in ("takes", "variants"):
-        (tmp_path / name).mkdir()
-    write_positions(tmp_path / "takes" / "waltz.npz", people, rate_hz)
-    write_positions(tmp_path / "takes" / "hug.npz", people, rate_hz)
-    write_positions(tmp_path / "variants" / "waltz_good.npz", variant, rate_hz)
     drifting = drift(variant, source, np.random.default_rng(0))
-    write_positions(tmp_path / "variants" / "waltz_drift.npz", drifting, rate_hz)
-    write_positions(tmp_path / "variants" / "waltz_short.npz", variant[:-5], rate_hz)
-    write_positions(tmp_path / "variants" / "judo.npz", variant, rate_hz)
-    options = ("--source", tmp_path / "takes", "--page", tmp_path / "page.html")
-    code, rows = check(capsys, tmp_path / "variants", *options)
+    variants = {"waltz_good": variant, "waltz_drift": drifting, "waltz_short": variant[:-5], "judo": variant}
+    for folder, motions in (("takes", {"waltz": people, "hug": people}), ("variants", variants)):
+        (tmp_path / folder).mkdir()
+        for name, positions_m in motions.items():
+            write_positions(tmp_path / folder / f"{name}.npz", positions_m, rate_hz)
+    code, rows = check(tmp_path, tmp_path / "variants", "--source", tmp_path / "takes")
     assert code == 2, "some have no source that fits"
-    assert rows["waltz_good"]["verdict"] == "pass"
-    assert rows["waltz_good"]["source"] == "waltz"
-    assert rows["waltz_good"]["against_source"]["contact_drift_m"] < 0.005
+    good = rows["waltz_good"]
+    assert (good["verdict"], good["source"]) == ("pass", "waltz")
+    assert good["against_source"]["contact_drift_m"] < 0.005
+    assert good["against_source"]["worst_contact_m"] < 0.006
     assert rows["waltz_drift"]["verdict"] in ("warn", "fail")
     assert re.search(r"the contact of A \w+ and B \w+ drifts by 0\.\d+ m", rows["waltz_drift"]["reason"])
-    assert rows["waltz_good"]["against_source"]["worst_contact_m"] < 0.006
     assert "115 frames of 2 people at 30 Hz, its source waltz 120" in rows["waltz_short"]["reason"]
     assert "no source has a name that this begins with; sources: hug, waltz" in rows["judo"]["reason"]
 
@@ -203,15 +200,10 @@ def test_joints_between_joints_of_a_rig_may_move_on_their_bones_by_millimetres(
     assert ("frames fail" in verdict.reason) == (moved_m > 0.03)
 
 
-def test_the_page_shows_the_worst_in_players_at_any_width(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "check.html"
-    check(capsys, folder, "--page", path)
-    page = Page(path.read_text(encoding="utf-8"))
-    assert not page.problems
-    assert not page.outside, "the page needs no other file"
-    assert not page.unnamed
+@pytest.mark.usefixtures("checked")
+def test_the_page_shows_the_worst_in_players_at_any_width(page_folder: Path, tmp_path: Path) -> None:
+    page = Page((page_folder / "page.html").read_text(encoding="utf-8"))
+    assert (page.problems, page.outside, page.unnamed) == ([], [], [])
     assert 8 <= len(page.scenes) <= 10
     assert "unreadable" in page.cells
     probe = "return [document.documentElement.scrollWidth <= innerWidth, document.querySelectorAll('canvas').length]"
@@ -229,11 +221,10 @@ def test_the_naming_of_the_augmentation_paper_is_read_by_check_study_new_and_pla
     shifted = [f"{float(row.split()[0]) + 30} {row.split(maxsplit=1)[1]}" for row in rows_of_a]
     for letter, lines in (("A", rows_of_a), ("B", shifted)):
         (tmp_path / f"pair_{letter}.bvh").write_text("\n".join([f"{head}Frame Time{time}", *lines]) + "\n")
-    code, rows = check(capsys, tmp_path, "--page", tmp_path / "page.html")
+    code, rows = check(tmp_path, tmp_path)
     assert code == 0
     person = rows["pair"]["people"][0]
-    assert person["layout"] == "points17"
-    assert person["metres_per_unit"] == pytest.approx(0.0254)
+    assert (person["layout"], person["metres_per_unit"]) == ("points17", pytest.approx(0.0254))
     assert person["stature_m"] == pytest.approx(1.7, abs=0.15)
     study = tmp_path / "mine.toml"
     files = [word for letter in "AB" for word in ("--from", str(tmp_path / f"pair_{letter}.bvh"))]
@@ -244,45 +235,16 @@ def test_the_naming_of_the_augmentation_paper_is_read_by_check_study_new_and_pla
     assert "ingest" in capsys.readouterr().out
 
 
-def write_dataset(folder: Path, clips: Mapping[str, np.ndarray]) -> None:
-    """Write the folder of a dataset with a take and variants, a row group each, as docs/datasets.md has it."""
-    table = []
-    for kind in ("poses", "variants"):
-        path = folder / "data" / kind / "train-00000-of-00001.parquet"
-        path.parent.mkdir(parents=True)
-        schema = pa.schema({"person": pa.int32(), "frame": pa.int32(), "body22_m": pa.list_(pa.float32(), 66)})
-        with parquet.ParquetWriter(path, schema) as writer:
-            own = {name: people for name, people in clips.items() if ("/" in name) == (kind == "variants")}
-            for number, (name, people) in enumerate(own.items()):
-                person, frame = np.meshgrid([0, 1], np.arange(len(people)), indexing="ij")
-                order = np.lexsort((person.ravel(), frame.ravel())) if kind == "variants" else slice(None)
-                values = people.swapaxes(0, 1).reshape(-1, 66)[order]
-                arrays = [pa.array(person.ravel()[order], pa.int32()), pa.array(frame.ravel()[order], pa.int32())]
-                arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), pa.float32()), 66))
-                writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
-                take, _, variant = name.partition("/")
-                row = {"clip_id": name, "take_id": take, "variant_id": variant or None, "row_group": number}
-                table.append({**row, "file": f"data/{kind}/{path.name}", "num_people": 2, "rate_hz": 30.0})
-    (folder / "data" / "clips").mkdir()
-    parquet.write_table(pa.Table.from_pylist(table), folder / "data" / "clips" / "train-00000-of-00001.parquet")
-
-
-def test_the_folder_of_a_dataset_is_checked_with_its_own_sources(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    people, rate_hz = people_of_waltz()
-    source = CheckedMotion("waltz", people, rate_hz).source
-    drifting = drift(people, source, np.random.default_rng(0))
-    write_dataset(tmp_path / "set", {"waltz": people, "waltz/same": people, "waltz/drift": drifting})
-    code, rows = check(capsys, tmp_path / "set", "--page", tmp_path / "page.html")
+def test_the_folder_of_a_dataset_is_checked_with_its_own_sources(store: Store, tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    write_folder(store, put_dataset(store, {"waltz": False}, num_frames=30), folder)
+    code, rows = check(tmp_path, folder)
     assert code == 0
-    assert {name: row["verdict"] for name, row in rows.items()} == {
-        "waltz": "pass",
-        "waltz/same": "pass",
-        "waltz/drift": rows["waltz/drift"]["verdict"],
-    }
-    assert rows["waltz/same"]["source"] == "waltz"
-    (tmp_path / "set" / "data" / "variants" / "train-00000-of-00001.parquet").write_bytes(b"PAR1")
-    code, rows = check(capsys, tmp_path / "set", "--page", tmp_path / "page.html")
+    assert rows.keys() == {"waltz", *(f"waltz/{name}" for name in VARIANTS)}
+    same, larger = (rows[f"waltz/{VARIANTS[at]}"] for at in (0, 2))
+    assert (same["source"], larger["source"]) == ("waltz", "waltz")
+    assert same["against_source"]["contact_drift_m"] < 1e-6 < larger["against_source"]["contact_drift_m"]
+    next((folder / "data" / "variants").iterdir()).write_bytes(b"PAR1")
+    code, rows = check(tmp_path, folder)
     assert code == 2
-    assert [row["verdict"] for row in rows.values()].count("unreadable") == 2
+    assert [row["verdict"] for row in rows.values()].count("unreadable") == len(VARIANTS)

@@ -202,10 +202,7 @@ def test_z_up_files_come_out_standing(store: Store, tmp_path: Path) -> None:
 
 
 def test_held_out_takes_have_no_random_views_and_are_no_prior(store: Store, pair: tuple[Path, Path]) -> None:
-    takes = [
-        {"id": "a", "files": list(pair), "frames": [0, 20]},
-        {"id": "b", "files": list(pair), "frames": [20, 40]},
-    ]
+    takes = [{"id": "a", "files": list(pair), "frames": [0, 20]}, {"id": "b", "files": list(pair), "frames": [20, 40]}]
     shards = planned(takes=takes, held_out=["b"])
     names = [(shard.partition, shard.name) for shard in shards]
     assert ("a", "random_views") in names

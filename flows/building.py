@@ -102,9 +102,9 @@ class Build:
         urgency = {name: place for place, name in enumerate(by_urgency(run.graph))}
         self._work: dict[str, _StageWork] = {}
         for first in plan.stages:
-            name, made = first.stage.name, None if first.is_selected else first.manifests
-            early = () if made is not None or name in run.selection.force else first.stage.early
-            self._work[name] = _StageWork(first, urgency[name], dict.fromkeys(early, 0), made)
+            name, manifests = first.stage.name, None if first.is_selected else first.manifests
+            early = () if manifests is not None or name in run.selection.force else first.stage.early
+            self._work[name] = _StageWork(first, urgency[name], dict.fromkeys(early, 0), manifests)
         self._begun = set[str]()
         self._priority: dict[str, int] = {}  # of shards in work
         self._made: dict[str, Manifest] = {}
@@ -186,9 +186,9 @@ class Build:
                 needed = self._run.graph.needed(name, self._run.study.parameters[name])
                 above = {other: self._work[other] for other in needed}
                 work.is_skipped = any(planned.is_lost for planned in above.values())
-                made = {other: planned.made for other, planned in above.items() if planned.made is not None}
-                if len(made) == len(above):
-                    self._begin(work, made)
+                manifests = {other: planned.made for other, planned in above.items() if planned.made is not None}
+                if len(manifests) == len(above):
+                    self._begin(work, manifests)
             for early in list(work.early):
                 self._begin_early(work, early)
         waiting = [work.plan for work in self._work.values() if work.is_waiting]

@@ -89,11 +89,11 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
             return Published(name, f"{before.label} stays: nothing has changed since", before)
         note = f"run {outcome.run_id}"
         try:
-            made = create_dataset(store, name, refs, version=version, note=note, attachments=_files(run, outcome))
+            dataset = create_dataset(store, name, refs, version=version, note=note, attachments=_files(run, outcome))
         except DatasetExists:  # another run was first: compare with its version
             continue
-        new = "" if before is None else f"; what is new: pasdedeux diff {before.label} {made.label} --store {store}"
-        return Published(name, f"{made.label} is published{new}", made)
+        new = "" if before is None else f"; what is new: pasdedeux diff {before.label} {dataset.label} --store {store}"
+        return Published(name, f"{dataset.label} is published{new}", dataset)
 
 
 def refuse_unpublished(published: Published | None) -> None:
@@ -112,8 +112,8 @@ def refuse_bad_verdicts(run: Run, outcome: Outcome, worst: Level) -> None:
     Raises:
         VerdictError: Says which, with the figure.
     """
-    made = [run.store.manifest(ref) for stage in outcome.stages for ref in stage.artifacts]
-    bad = {name: verdict for name, verdict in summary_of(made).verdicts.items() if verdict.level.rank >= worst.rank}
+    stored = [run.store.manifest(ref) for stage in outcome.stages for ref in stage.artifacts]
+    bad = {name: verdict for name, verdict in summary_of(stored).verdicts.items() if verdict.level.rank >= worst.rank}
     if bad:
         said = f"verdicts that {'warn or fail' if worst is Level.WARN else 'fail'}: {len(bad)}"
         raise VerdictError(

@@ -115,33 +115,36 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
     FunctionIdentity._unique_ids = _SYMBOL_NUMBERS  # type: ignore[assignment]  # only `next` is called
     options = {"nogil": True, "error_model": "numpy", **options}
     try:
-        made = njit(cache=True, **options)(function)
-        base, stamp = made._cache._impl.filename_base, made._cache._cache_file._source_stamp
+        dispatcher = njit(cache=True, **options)(function)
+        base, stamp = dispatcher._cache._impl.filename_base, dispatcher._cache._cache_file._source_stamp
         # Each version of numba has its own files; with shared ones, two versions would recompile in turns, for minutes.
         # `unique`: symbols in older files were not unique.
         name = f"{base}-{__version__}-unique"
-        files = made._cache._cache_file = IndexDataCacheFile(made.stats.cache_path, name, stamp)
+        files = dispatcher._cache._cache_file = IndexDataCacheFile(dispatcher.stats.cache_path, name, stamp)
     except RuntimeError:  # there is no writable folder
-        made, files = njit(**options)(function), None
-    compile_anew = made.compile
+        dispatcher, files = njit(**options)(function), None
+    compile_anew = dispatcher.compile
 
     def compile_once(signature: tuple[Any, ...]) -> Any:
         arguments = tuple(unliteral(argument) for argument in signature)
-        if arguments in made.overloads:
-            return made.overloads[arguments].entry_point
+        if arguments in dispatcher.overloads:
+            return dispatcher.overloads[arguments].entry_point
         # Take numba's lock first, so that no thread waits for a file while another holds it and waits for numba.
-        with global_compiler_lock, _alone(made.stats.cache_path, f"{function.__module__}.{function.__qualname__}"):
+        with (
+            global_compiler_lock,
+            _alone(dispatcher.stats.cache_path, f"{function.__module__}.{function.__qualname__}"),
+        ):
             if files is not None:
                 _drop_old_code(files)
             try:
                 return compile_anew(arguments)
             except OSError:  # the cache's disk is full or gone
-                if arguments not in made.overloads:
+                if arguments not in dispatcher.overloads:
                     raise
-                return made.overloads[arguments].entry_point
+                return dispatcher.overloads[arguments].entry_point
 
-    made.compile = compile_once
-    return made
+    dispatcher.compile = compile_once
+    return dispatcher
 
 
 @contextmanager

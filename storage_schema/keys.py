@@ -100,8 +100,8 @@ def shard_key(
         described: Stage, version, `after` and seed, as for `artifact_key`.
     """
     digests = [f"{what}:{digest}" for what in sorted(reads) for digest in reads[what]]
-    told = {"partition": partition, "name": name, "told": parameters}
-    return artifact_key(parameters=told, input_digests=[*digests, *files], **described)
+    identity = {"partition": partition, "name": name, "told": parameters}
+    return artifact_key(parameters=identity, input_digests=[*digests, *files], **described)
 
 
 def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files: Mapping[str, str]) -> str:

@@ -232,9 +232,9 @@ def build_from_fields(kind: type[_T], values: dict[str, Any]) -> _T:
     names = vars(kind)["__dataclass_fields__"].keys()
     if values.keys() != names:
         raise KeyError(", ".join(sorted(values.keys() ^ names)))
-    made = object.__new__(kind)
-    vars(made).update(values)
-    return made
+    instance = object.__new__(kind)
+    vars(instance).update(values)
+    return instance
 
 
 def _shared_ref(values: dict[str, Any]) -> ArtifactRef:

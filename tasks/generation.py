@@ -175,7 +175,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         keys = read_key_frames(read_again(file), Path(file.path).name)
     indices = range(options.first, options.first + options.count)
     names = tuple(variant_name(options.model, index) for index in indices)
-    made = VariantFacts(
+    facts_of_variants = VariantFacts(
         takes=tuple(sorted({take_id, *learned.takes})),
         take_id=take_id,
         variants=names,
@@ -201,7 +201,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             scale = np.full(BODY22.num_joints, options.scales[index % len(options.scales)]) if options.scales else None
             yield sampler.sample(name, sampling_stream(shard.seed, take_id, index), scale)
 
-    return write_variants(shard, store, take, made, sample(), timing="sample_s")
+    return write_variants(shard, store, take, facts_of_variants, sample(), timing="sample_s")
 
 
 STAGE = Stage(

@@ -140,8 +140,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         known = lifted_from.get(place[:3], ())
         new_rows, fitted[place] = lift_annotation(every[place], draws, index, known, over_time.get(place))
         rows += new_rows
-    for name, own in _compared(store, shard.refs("draws"), options.compared).items():
-        nearest = [retrieve(own, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
+    for name, drawn in _compared(store, shard.refs("draws"), options.compared).items():
+        nearest = [retrieve(drawn, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
         rows += [
             lifted_row(every[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)
         ]
@@ -202,7 +202,7 @@ def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet
 def _compared(store: Store, refs: tuple[ArtifactRef, ...], names: tuple[str, ...]) -> dict[str, DrawIndex]:
     """Return an index over the draws of each name."""
     compared_refs = [ref for ref in refs if density_of(store.manifest(ref)) in names]
-    return {name: DrawIndex(found.pairs_m) for name, found in read_draw_sets(store, compared_refs).items()}
+    return {name: DrawIndex(draw_set.pairs_m) for name, draw_set in read_draw_sets(store, compared_refs).items()}
 
 
 def _spans(places: Sequence[PairPlace], num_spans: int, gap: int) -> list[tuple[PairPlace, PairPlace]]:
@@ -277,7 +277,7 @@ def lift_again(
     pairs = []
     for instead in (None, {moment: points_px}):
         every, _ = read_seen_pairs(store, annotations, views, num_hypotheses=_NUM_HYPOTHESES, instead=instead)
-        seen = next((one for place, one in every.items() if place[:2] == moment), None)
+        seen = next((pair for place, pair in every.items() if place[:2] == moment), None)
         if seen is None:
             raise InputError(f"{moment[0]} frame {moment[1]} has no view, or shows too little to be lifted")
         pairs.append(lift_annotation(seen, draws, index, ())[1])
@@ -333,11 +333,11 @@ def _baselines(
         if lifted is None:
             continue
         by_ik = lift_by_ik(seen.image_m, lifted, lengths, limits)
-        made = {"lifting": lifted, "lifting_ik": by_ik}
+        methods = {"lifting": lifted, "lifting_ik": by_ik}
         if "naive_sampling" in options.baselines:
             rng = stream(shard.seed, "lifting", *seen.place)
-            made["naive_sampling"] = sample_naively(rng, seen.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
-        rows += [lifted_row(seen, method, pair_m) for method, pair_m in made.items() if method in options.baselines]
+            methods["naive_sampling"] = sample_naively(rng, seen.image_m, by_ik, limits, num_samples=_NUM_NAIVE)
+        rows += [lifted_row(seen, method, pair_m) for method, pair_m in methods.items() if method in options.baselines]
     return rows
 
 

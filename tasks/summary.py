@@ -59,10 +59,10 @@ _THINGS = (
 def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
     in_order = sorted(manifests, key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
-    told = [(manifest, facts_of(manifest)) for manifest in in_order]
+    stated = [(manifest, facts_of(manifest)) for manifest in in_order]
     parts = {
         thing: [
-            (manifest, facts) for manifest, facts in told if thing.table in manifest.tables and thing.is_in(manifest)
+            (manifest, facts) for manifest, facts in stated if thing.table in manifest.tables and thing.is_in(manifest)
         ]
         for thing in _THINGS
     }
@@ -70,9 +70,9 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     verdicts = dict(sorted(_by_stage(in_order).items(), key=lambda named: -named[1].level.rank))
     sources = {Credit(s.name, s.licence, s.credit) for s in {s for manifest in in_order for s in manifest.sources}}
     return Summary(
-        made=[made for thing, own in parts.items() if (made := _made(thing, own, chains)).count],
+        made=[product for thing, of_thing in parts.items() if (product := _made(thing, of_thing, chains)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
-        skipped=folded(sorted({sentence for manifest, facts in told for sentence in _skipped(manifest, facts)})),
+        skipped=folded(sorted({sentence for manifest, facts in stated for sentence in _skipped(manifest, facts)})),
         verdicts=verdicts,
     )
 
@@ -121,7 +121,7 @@ def judge(manifests: Sequence[Manifest]) -> list[NamedVerdict]:
             groups.setdefault((manifest.ref.stage, f"{manifest.partition} {name}".strip()), []).append(verdict)
     # Sorted: the order of a set of names differs between processes.
     order = list(TopologicalSorter({stage: sorted(before) for stage, before in sorted(reads.items())}).static_order())
-    judged = {place: merge_verdicts(found) for place, found in groups.items()}
+    judged = {place: merge_verdicts(verdicts_of_place) for place, verdicts_of_place in groups.items()}
     return [
         NamedVerdict(stage, partition, whole)
         for (stage, partition), whole in sorted(judged.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
@@ -142,7 +142,7 @@ def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
     for manifest in manifests:
         if manifest.ref.stage in parts:
             parts[manifest.ref.stage].append(manifest)
-    verdicts = {name: stage_verdict(own) for name, own in parts.items()}
+    verdicts = {name: stage_verdict(of_stage) for name, of_stage in parts.items()}
     apart = {
         part_name(product.stage, product.partition): product.verdict for product in judged if product.stage == _APART
     }

@@ -187,8 +187,8 @@ class PairDataset:
             bodies = self._files.take("people", person) * is_there[..., None, None]
             arrays = {"scales": bodies[..., 0], "skeleton": bodies[..., 1:]}
             batch |= {name: arrays[name] for name in self.fields if name in arrays}
-        told = {"name": self._names.take(pa.array(clip)).to_pylist(), "start": start, "rate_hz": self._rates_hz[clip]}
-        return batch | told
+        labels = {"name": self._names.take(pa.array(clip)).to_pylist(), "start": start, "rate_hz": self._rates_hz[clip]}
+        return batch | labels
 
     def _allocate(self, count: int, widest: int) -> Batch:
         """Return the arrays of a batch that are read, in one piece of memory.
@@ -236,8 +236,10 @@ class PairDataset:
 
     def _make_normaliser(self, folder: Path, table: str, kept: pa.Table, sides: Mapping[str, str]) -> Normaliser:
         if folder.is_dir():
-            told = json.loads((folder / "stats.json").read_bytes()).get("train", {}).get(table, {}).get("body22_m", {})
-            return Normaliser(told.get("mean", np.nan), told.get("std", np.nan))
+            statistics = (
+                json.loads((folder / "stats.json").read_bytes()).get("train", {}).get(table, {}).get("body22_m", {})
+            )
+            return Normaliser(statistics.get("mean", np.nan), statistics.get("std", np.nan))
         train = _only(kept, "take_id", [take for take in sides if sides[take] == "train"])
         columns = (train[name].to_numpy() for name in ("first_row", "num_frames", "num_people"))
         return Normaliser.of(self._positions(*clip) for clip in zip(*columns, strict=True))

@@ -56,19 +56,19 @@ def plan(
     selection = StageSelection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     graph = with_page(chosen, graph, open_store(store), selection)
-    made = make_plan(chosen, graph, open_store(store), selection)
-    if cost and not made.is_fresh:
-        work = planned_work(made, graph, open_store(store), open_store(measured or store))
+    planned = make_plan(chosen, graph, open_store(store), selection)
+    if cost and not planned.is_fresh:
+        work = planned_work(planned, graph, open_store(store), open_store(measured or store))
         costs = [estimate_cost(work, count) for count in workers or NUMBERS_OF_WORKERS]
         described = {"work": work.to_json(), "costs": [asdict(estimate) for estimate in costs]}
         answer(described, cost_lines(work, costs), as_json=as_json)
         return
-    answer({**made.to_json(), "settings": chosen.resolved()}, plan_lines(made), as_json=as_json)
+    answer({**planned.to_json(), "settings": chosen.resolved()}, plan_lines(planned), as_json=as_json)
     if as_json:
         return
-    refuse_nothing(made.missing)
+    refuse_nothing(planned.missing)
     echo(
         "everything is fresh"
-        if made.is_fresh
+        if planned.is_fresh
         else f"run it with: {next_command('run', study, *selection.words, store=store, settings=settings)}"
     )

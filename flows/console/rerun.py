@@ -63,7 +63,7 @@ def rerun(
         old = read_recorded(origin, name)
         study, graph = study_from_record(old.sections, old.stages, graph_of(context))
         _refuse_changed_files(old, study, graph, origin)
-        outcome, made = build(Run(study, graph, target), cluster, is_quiet=as_json)
+        outcome, work = build(Run(study, graph, target), cluster, is_quiet=as_json)
         named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
         new = artifacts_by_place(target, named)
         comparison = compare_builds(origin, old.artifacts, target, new)
@@ -74,7 +74,7 @@ def rerun(
         if place in new and was.version != new[place].version
     }
     stale = f"{store} had results of other sources, which were compared; --store names an empty folder"
-    warnings = [stale] if made.warnings else []
+    warnings = [stale] if work.warnings else []
     lines = [*outcome_lines(outcome), *comparison.lines(), *(f"warning: {words}" for words in warnings)]
     lines += _change_lines(changes)
     described = {"name": old.label, "run_id": outcome.run_id, **comparison.to_json()}

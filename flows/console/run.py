@@ -144,12 +144,12 @@ def build_and_report(
 ) -> None:
     """Bring a study up to date, report the outcome, and fail if nothing was made or a verdict is too bad."""
     started = time.perf_counter()
-    outcome, made = build(run, cluster, is_quiet=as_json)
+    outcome, work = build(run, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
     with in_use(run.store):
         published = publish(run, outcome)
     more = {} if published is None else {"published": published.to_json()}
-    lines = _report_lines(run, outcome, made, seconds, published)
+    lines = _report_lines(run, outcome, work, seconds, published)
     answer({**outcome.to_json(), "seconds": round(seconds, 3), **more}, lines, as_json=as_json)
     if opens and outcome.page is None:
         echo("there is no report to open: this study makes none", err=True)
@@ -184,13 +184,13 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
 def build(run: Run, cluster: ClusterSettings, *, is_quiet: bool) -> tuple[Outcome, Plan]:
     """Bring a study up to date, and return what was done and the plan. Nothing is removed from the store meanwhile."""
     with in_use(run.store):
-        made = make_plan(run.study, run.graph, run.store, run.selection)
-        if made.is_fresh:
-            return outcome_of_fresh(run, made), made
+        work = make_plan(run.study, run.graph, run.store, run.selection)
+        if work.is_fresh:
+            return outcome_of_fresh(run, work), work
         _refuse_full_disk(run.store)
         run.store.prepare()
         with in_use(run.store):  # again, because a new store could not be locked before
-            return _build(run, made, cluster, is_quiet=is_quiet), made
+            return _build(run, work, cluster, is_quiet=is_quiet), work
 
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:

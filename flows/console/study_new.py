@@ -132,14 +132,14 @@ def write_new_study(path: Path, files: Sequence[Path] = (), films: Sequence[Film
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
     doubted = (line.removeprefix("# ").partition("#") for line in lines if any(mark in line for mark in _DOUBTS))
-    told = [
+    said = [
         *(f"found {_said(person)}" for person in people),
         *dict.fromkeys(f"note: {person.path.name}: {note}" for person in people for note in person.motion.notes),
         *_drafted(people),
         *(f"found {'film' if video.given else '2D poses'} {video.path}: {video.note}" for video in videos),
         *(f"in doubt: {key.strip()}: {why.strip()}" for key, _, why in doubted),
     ]
-    return [visible(line, is_line=True) for line in told]
+    return [visible(line, is_line=True) for line in said]
 
 
 def _inspect(path: Path, base: Path) -> Sequence[_DraftedPerson | _Video]:
@@ -236,14 +236,14 @@ def _take_lines(people: Sequence[_DraftedPerson]) -> list[str]:
     )
     mirrors = [guess_mirrored(person.motion, person.taken.layout) for person in people]
     exchanged = [mirror.is_mirrored and mirror.confidence >= _LIKELY for mirror in mirrors]
-    told = [
+    drafts = [
         [_layout(person), _axis(axis), _rate(person), *[_mirror(person, exchanged)] * is_exchanged, _unit(person)]
         for person, axis, is_exchanged in zip(people, axes, exchanged, strict=True)
     ]
     # Lines that are the same for all people are written once, with the take.
-    shared = [line for line in told[0][:-1] if all(_key(line) in map(_key, lines) for lines in told[1:])]
+    shared = [line for line in drafts[0][:-1] if all(_key(line) in map(_key, lines) for lines in drafts[1:])]
     keys = set(map(_key, shared))
-    different = [[line for line in lines if _key(line) not in keys] for lines in told]
+    different = [[line for line in lines if _key(line) not in keys] for lines in drafts]
     return [*_length(people), *shared, *(line for lines in different for line in ("[[ingest.takes.persons]]", *lines))]
 
 

@@ -146,8 +146,8 @@ def plan_files(contents: Contents, before: FolderManifest | None) -> list[DataFi
         if group.table in _MOTIONS:
             num_bytes = _CONTACT_BYTES * group.num_rows
             rows = () if group.table == "poses" else group.rows
-            made = RowGroup("contacts", group.split, group.ref, rows, num_bytes, group.clip)
-            places["contacts", group.split][key_of(made)] = made
+            contacts = RowGroup("contacts", group.split, group.ref, rows, num_bytes, group.clip)
+            places["contacts", group.split][key_of(contacts)] = contacts
     files = []
     for (table, split), in_table in sorted(places.items()):
         groups = in_table
@@ -259,8 +259,8 @@ def _write_whole(path: Path, file: DataFile, store: Store) -> None:
     growing.unlink(missing_ok=True)
     writer = TableWriter(growing, TABLES[file.table])
     try:
-        for ref, own in groupby(file.groups, key=lambda group: group.ref):
-            groups = list(own)
+        for ref, of_artifact in groupby(file.groups, key=lambda group: group.ref):
+            groups = list(of_artifact)
             if file.table == "contacts":
                 for rows in _contacts_of(store, ref, groups):
                     if rows.num_rows:  # some readers stop at a row group without rows

@@ -128,14 +128,14 @@ def export_selection(
     selected = select_pairs(store, tuple(dict.fromkeys(refs)), count)
     if not selected.columns:
         raise InputError(f"'{text}': no draw and no grown pair of it is plausible")
-    made = TABLES["selected_pairs"]
-    rows = TableData(made, encode(made, selected.columns))
+    pair_table = TABLES["selected_pairs"]
+    rows = TableData(pair_table, encode(pair_table, selected.columns))
     choices = choices_for(store, reference)
     kept = [at for at in range(rows.num_rows) if not _is_rejected(rows.row(at), choices)]
     if not kept:
         raise InputError(_ALL_REJECTED.format(text))
-    chosen = TableData(made, rows.rows.take(kept))
-    export = Export(store, text, replace(reference, table=made.name), selected.refs, selected=chosen, **options)
+    chosen = TableData(pair_table, rows.rows.take(kept))
+    export = Export(store, text, replace(reference, table=pair_table.name), selected.refs, selected=chosen, **options)
     rejected = f"; {rows.num_rows - len(kept)} of them left out, as rejected" if len(kept) < rows.num_rows else ""
     return _written(export, kind, out), selected.in_words() + rejected
 

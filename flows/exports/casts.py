@@ -263,15 +263,17 @@ def _rate_hz(export: Export, study_hz: float, source_hz: float) -> float:
     return source_hz if export.rate == "source" and source_hz else study_hz
 
 
-def _own_rig(person: TakePerson, made: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose, rate_hz: float) -> Rig:
+def _own_rig(
+    person: TakePerson, skeleton: OwnSkeleton, wanted_m: Array | None, rest_pose: RestPose, rate_hz: float
+) -> Rig:
     """Return a person on the source's own skeleton at this rate; `wanted_m` (frame, 22, 3) has the rate of `made`."""
     if wanted_m is not None:
-        wanted_m = resample_positions(wanted_m, from_hz=made.motion.rate_hz, to_hz=rate_hz)
-    made = replace(made, motion=made.motion.resample(rate_hz))
-    drawn = rig_of(made, rest_pose)
-    lengths = np.median(bone_lengths(BODY22, made.body.of(made.motion)), axis=0)
+        wanted_m = resample_positions(wanted_m, from_hz=skeleton.motion.rate_hz, to_hz=rate_hz)
+    skeleton = replace(skeleton, motion=skeleton.motion.resample(rate_hz))
+    drawn = rig_of(skeleton, rest_pose)
+    lengths = np.median(bone_lengths(BODY22, skeleton.body.of(skeleton.motion)), axis=0)
     height_m = float(body_height_m(BODY22, lengths))
-    return Rig(drawn.motion, height_m, body_map=drawn.body, own=(person, made, wanted_m))
+    return Rig(drawn.motion, height_m, body_map=drawn.body, own=(person, skeleton, wanted_m))
 
 
 def _reconstructions(export: Export, ref: ArtifactRef) -> Iterator[Cast]:

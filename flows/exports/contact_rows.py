@@ -39,7 +39,7 @@ def touching(store: Store, reference: Reference) -> tuple[ArtifactRef, ...]:
 
 def contact_rows(export: Export) -> Iterator[TableData]:
     """Yield the rows of the table `contacts`, one motion at a time."""
-    made = TABLES[CONTACTS]
+    contact_table = TABLES[CONTACTS]
     for table, names in _PARTS.items():
         refs = tuple(ref for ref in export.refs if table in export.store.manifest(ref).tables)
         for cast in casts(replace(export, reference=replace(export.reference, table=table), refs=refs)):
@@ -47,7 +47,7 @@ def contact_rows(export: Export) -> Iterator[TableData]:
             count, frame = len(contacts.frame), contacts.frame + first_frame
             rows = {name: [str(part)] * count for name, part in zip(names, cast.parts, strict=False)}
             rows |= {"origin": [table] * count} | contacts.columns() | {"frame": frame, "time_s": frame / cast.rate_hz}
-            yield TableData(made, encode(made, rows))
+            yield TableData(contact_table, encode(contact_table, rows))
 
 
 def _contacts_of(store: Store, cast: Cast) -> ContactRows:

@@ -33,8 +33,8 @@ def _write(export: Export, out: Path) -> Iterable[Path]:
             cells = [_cells(column, batch) for column in columns]
             for index in range(batch.num_rows):
                 writer.writerow([cell for column in cells for cell in column[index]])
-    told = (csv_line(column.name, column.unit, " ".join(column.axes), column.meaning) for column in columns)
-    return [path, write_text(listed, "\n".join(["column,unit,axes,meaning", *told]) + "\n")]
+    descriptions = (csv_line(column.name, column.unit, " ".join(column.axes), column.meaning) for column in columns)
+    return [path, write_text(listed, "\n".join(["column,unit,axes,meaning", *descriptions]) + "\n")]
 
 
 FORMAT = ExportFormat(_write)

@@ -135,14 +135,16 @@ def write_reconstruction(
     rate_hz = people.methods[-1].people[0].track.rate_hz
     caption = f"{sequence.sequence_id}: the reconstruction over its 2D poses, and in the room."
     pictures = [Picture(f"{sequence.sequence_id}{PLAYER}", caption, seen_player(placed_m, cameras, rate_hz=rate_hz))]
-    told = [seen.in_words(placed_m) for seen in cameras] if len(cameras) > 1 else []
-    said = [_ERRORS, *(f"{words[0].upper()}{words[1:]}." for words in told)]
+    camera_words = [seen.in_words(placed_m) for seen in cameras] if len(cameras) > 1 else []
+    said = [_ERRORS, *(f"{words[0].upper()}{words[1:]}." for words in camera_words)]
     for seen, shot in zip(cameras, footage, strict=True):
         if shot.motion is not None:
-            said.append(shot.motion.in_words() if not told else f"Camera {seen.name}: {shot.motion.in_words()}.")
+            said.append(
+                shot.motion.in_words() if not camera_words else f"Camera {seen.name}: {shot.motion.in_words()}."
+            )
         if shot.film is not None and shot.film.parameters.is_constant_rate:
             images, shown_hz = _over_film(people, placed_m, seen, shot, shot.film)
-            whose = f"camera {seen.name}" if told else shot.film.parameters.id
+            whose = f"camera {seen.name}" if camera_words else shot.film.parameters.id
             caption = f"{whose}: the reconstruction over the film; faces are blurred."
             pictures += [Picture(f"{whose}-film.svg", caption, moving_svg(images, shown_hz))] if images else []
     verdicts = reconstruction.judged.verdicts_with_errors

@@ -37,12 +37,14 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | Non
         manifest: The artifact.
         ingest: The recorded section of the study.
     """
-    told = manifest.parameters
-    if "num_given" in told:
-        names = manifest.files[told["num_given"] + told["num_networks"] :]
+    settings = manifest.parameters
+    if "num_given" in settings:
+        names = manifest.files[settings["num_given"] + settings["num_networks"] :]
         find = partial(_find_files, names, [Path(video["path"]) for video in ingest.get("videos", ())])
-        rate_hz = None if told["is_constant_rate"] else told["video_rate_hz"]
-        return FilmReader(cache(find), told["first_number"], told["first_frame"], told.get("after_s"), rate_hz)
+        rate_hz = None if settings["is_constant_rate"] else settings["video_rate_hz"]
+        return FilmReader(
+            cache(find), settings["first_number"], settings["first_frame"], settings.get("after_s"), rate_hz
+        )
     for source in ingest.get("annotations", ()):
         path = Path(source["path"])
         try:
@@ -51,8 +53,8 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | Non
             continue
         for camera in cameras:
             name = f"{source['id']}.{camera.name}" if camera.name else source["id"]
-            if name == told.get("id") and (video := video_beside(path, camera)) is not None:
-                header, size = read_header(video), told.get("video_size_px")
+            if name == settings.get("id") and (video := video_beside(path, camera)) is not None:
+                header, size = read_header(video), settings.get("video_size_px")
                 if [*(header.image_size_px or ())] == [*(size or ())]:
                     return FilmReader(partial(tuple, [SourceFile(path=str(video), sha256="")]))
     return None

@@ -123,8 +123,8 @@ def pull_to_targets(form: Form, now: Batch) -> None:
     state, aim, reference, lengths, limits = now.state, now.aim, now.reference, now.lengths, now.limits
     between, kept = now.between, now.kept
     share, girdle, tiny = form.constants[1], form.constants[2], form.constants[3]
-    one = share / share
-    two, zero, inverse = one + one, one - one, one / (share + one)
+    unit = share / share
+    two, zero, inverse = unit + unit, unit - unit, unit / (share + unit)
     scale, other = np.empty(count, state.dtype), np.empty((1, 3, count), state.dtype)
     blocks, num_points, width = len(now.offsets), now.offsets.shape[1], 3 * count
     linear, rhs = now.linear.reshape(blocks, num_points, width), now.offsets.reshape(blocks, num_points, width)
@@ -143,11 +143,11 @@ def pull_to_targets(form: Form, now: Batch) -> None:
                 scale[n] = np.sqrt((x * x + y * y) + z * z) + tiny
             if e < form.num_bones:
                 for n in range(count):
-                    scale[n] = two * lengths[t, e, n] / scale[n] - one
+                    scale[n] = two * lengths[t, e, n] / scale[n] - unit
             else:
-                pulled = one / (penalty + girdle)
+                pulled = unit / (penalty + girdle)
                 for n in range(count):
-                    scale[n] = two * ((penalty * scale[n] + girdle * lengths[t, e, n]) * pulled / scale[n]) - one
+                    scale[n] = two * ((penalty * scale[n] + girdle * lengths[t, e, n]) * pulled / scale[n]) - unit
             for axis in range(3):
                 for n in range(count):
                     given = reference[t, e, axis, n]
@@ -170,7 +170,7 @@ def pull_to_targets(form: Form, now: Batch) -> None:
             _spread(near, e, flat, row, rhs, t)
             row += 1
         for e in range(contacts.first[t], contacts.first[t + 1]):
-            keep, free = form.directions[e], one - form.directions[e]
+            keep, free = form.directions[e], unit - form.directions[e]
             for n in range(count):
                 x, y = state[row, 0, n] + between[e, 0, n], state[row, 1, n] + between[e, 1, n]
                 z = state[row, 2, n] + between[e, 2, n]

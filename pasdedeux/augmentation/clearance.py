@@ -65,7 +65,7 @@ def find_clearance(source: Source, weight_between: float, weight_within: float) 
     joints = BODY22.num_joints
     first = np.arange(source.num_people) * joints
     between = [model.between + np.array(ends) for ends in combinations(first, 2)]
-    pairs = np.concatenate([*between, *(model.within + own for own in first)])
+    pairs = np.concatenate([*between, *(model.within + offset for offset in first)])
     is_within = pairs[:, 0] // joints == pairs[:, 1] // joints
     weight = np.where(is_within, weight_within, weight_between)
     pairs, weight, is_within = (values[weight > 0] for values in (pairs, weight, is_within))

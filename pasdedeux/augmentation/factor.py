@@ -150,8 +150,8 @@ def _multiply_tile(_: Any, matrix: Any, row: Any, right: Any, column: Any, produ
         with cgutils.for_range(builder, builder.extract_value(of.shape, 1)) as loop:
             known = builder.load(entries(over, loop.index), align=align)
             for i, total in zip(rows, sums, strict=True):
-                one = builder.insert_element(nothing, builder.load(entry(of, i, loop.index)), index(0))
-                same = builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(index, _COLUMNS), None))
+                single = builder.insert_element(nothing, builder.load(entry(of, i, loop.index)), index(0))
+                same = builder.shuffle_vector(single, nothing, ir.Constant(ir.VectorType(index, _COLUMNS), None))
                 builder.store(builder.fadd(builder.load(total), builder.fmul(same, known)), total)
         for i, total in zip(rows, sums, strict=True):
             builder.store(builder.load(total), entries(to, i), align=align)

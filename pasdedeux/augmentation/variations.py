@@ -129,12 +129,12 @@ def make_variations(settings: VariationSettings, num_people: int = 2) -> list[Va
     """
     letters = ("".join(map(person_name, persons_of(who, num_people))) for who in settings.persons)
     persons, scales = list(dict.fromkeys(filter(None, letters))), settings.scales
-    made = {
+    make = {
         "uniform": lambda: uniform_variations(scales, persons, num_people),
         "groups": lambda: group_variations(scales, persons, settings.groups, num_people),
         "bones": lambda: bone_variations(scales, persons, num_people),
     }
-    variations = [variation for kind in settings.kinds for variation in made[kind]()]
+    variations = [variation for kind in settings.kinds for variation in make[kind]()]
     return list({variation.variant_id: variation for variation in variations}.values())
 
 
@@ -196,14 +196,16 @@ def scale_axes(bone_scale: Array) -> dict[str, Array]:
     {'B arms': array([0.8, 1.2])}
     """
     axes: dict[str, Array] = {}
-    for letter, own in zip(person_names(bone_scale.shape[1]), np.moveaxis(bone_scale, 1, 0), strict=True):
+    for letter, person_scale in zip(person_names(bone_scale.shape[1]), np.moveaxis(bone_scale, 1, 0), strict=True):
         parts = {f"person {letter}": list(BODY22.joint_names[1:])}
-        if _differ(own[:, 1:]):
+        if _differ(person_scale[:, 1:]):
             parts = {}
             for group, names in LIMB_GROUPS.items():
                 alone = {f"{letter} {name.removeprefix('left_')}": [name] for name in names if name[:6] != "right_"}
-                parts |= alone if _differ(own[:, BODY22.indices(names)]) else {f"{letter} {group}": list(names)}
-        axes |= {label: own[:, BODY22.indices(names)[0]] for label, names in parts.items()}
+                parts |= (
+                    alone if _differ(person_scale[:, BODY22.indices(names)]) else {f"{letter} {group}": list(names)}
+                )
+        axes |= {label: person_scale[:, BODY22.indices(names)[0]] for label, names in parts.items()}
     return {label: scales for label, scales in axes.items() if np.ptp(scales) > 1e-9}
 
 

@@ -101,8 +101,8 @@ class PinholeCamera:
         is_known = np.isfinite(points_m).all(axis=-1) & np.isfinite(px).all(axis=-1)
         turned_m = np.asarray(points_m, dtype=np.float64)[is_known] @ camera_from_world_rotmat.T
         ray = (px[is_known] - principal_point_px) * [1.0, -1.0] / focal_px  # at z = -1
-        zero, one = np.zeros(len(turned_m)), np.ones(len(turned_m))
-        rows = [np.stack([one, zero, ray[:, 0]], axis=-1), np.stack([zero, one, ray[:, 1]], axis=-1)]
+        zero, ones = np.zeros(len(turned_m)), np.ones(len(turned_m))
+        rows = [np.stack([ones, zero, ray[:, 0]], axis=-1), np.stack([zero, ones, ray[:, 1]], axis=-1)]
         known = -(turned_m[:, :2] + ray * turned_m[:, 2:])
         displacement, _, rank, _ = np.linalg.lstsq(np.concatenate(rows), known.T.reshape(-1), rcond=None)
         if rank < 3:

@@ -147,9 +147,9 @@ def estimate_views(
     log_ratio, size_variance = _size_ratio(twins, cameras[rows], options)
     # Correct each size by half of the ratio, so that the mean size stays that of the basis.
     twins = replace(twins, metres_per_pixel=twins.metres_per_pixel * np.exp(np.array([0.5, -0.5]) * log_ratio))
-    made = _hypotheses(twins, size_variance, options)
+    hypotheses = _hypotheses(twins, size_variance, options)
     each_rule = (len(rows), len(_FLIPS) * len(DEPTH_RULES))
-    log_weight, direction = made.log_weight.reshape(each_rule), made.direction.reshape(*each_rule, 3)
+    log_weight, direction = hypotheses.log_weight.reshape(each_rule), hypotheses.direction.reshape(*each_rule, 3)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     weight = np.where(weight < _MIN_WEIGHT, 0.0, weight)
@@ -165,7 +165,7 @@ def estimate_views(
         hypothesis=place,
         depth_rule=column % len(DEPTH_RULES),
         flip=column // len(DEPTH_RULES),
-        root_depth_m=made.depth_m.reshape(each_rule)[each, column],
+        root_depth_m=hypotheses.depth_m.reshape(each_rule)[each, column],
         direction=direction[each, column],
         weight=weight[each, column],
         metres_per_pixel=twins.metres_per_pixel[each, column // len(DEPTH_RULES)],

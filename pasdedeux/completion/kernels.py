@@ -30,11 +30,11 @@ def write_view_distances(
         out: Squared distances summed over the joints, (block, LANES), square metres; may be a little below 0.
     """
     count = np.float32(joints.shape[0])
-    one = np.float32(1.0)
+    unit = np.float32(1.0)
     two = np.float32(2.0)
     basis, sums = np.empty((6, LANES), np.float32), np.empty((5, LANES), np.float32)
     wx, wy, side, p, q, r = basis[0], basis[1], basis[2], basis[3], basis[4], basis[5]
-    a, b, u_sum, v_sum, own = sums[0], sums[1], sums[2], sums[3], sums[4]
+    a, b, u_sum, v_sum, square_sum = sums[0], sums[1], sums[2], sums[3], sums[4]
     squares = np.float32(0.0)
     for at in range(image.shape[0]):
         squares += image[at, 0] * image[at, 0] + image[at, 1] * image[at, 1]
@@ -44,15 +44,15 @@ def write_view_distances(
             x = sine * direction[0]
             y = cosine * direction[0] + direction[1]
             z = sine * direction[2]
-            length = one / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-30))
+            length = unit / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-30))
             x, y, z = x * length, y * length, z * length
             # Two unit vectors square to the view, without a branch (Duff et al. 2017, "Building an orthonormal basis,
             # revisited"): (1 + g p, g q, -g x) and (q, g + r, -y).
             g = np.float32(math.copysign(1.0, z))
-            h = -one / (g + z)
+            h = -unit / (g + z)
             wx[lane], wy[lane], side[lane] = x, y, g
-            p[lane], q[lane], r[lane] = one + g * x * x * h, x * y * h, g + y * y * h
-            a[lane] = b[lane] = u_sum[lane] = v_sum[lane] = own[lane] = np.float32(0.0)
+            p[lane], q[lane], r[lane] = unit + g * x * x * h, x * y * h, g + y * y * h
+            a[lane] = b[lane] = u_sum[lane] = v_sum[lane] = square_sum[lane] = np.float32(0.0)
         for at in range(joints.shape[0]):
             joint = joints[at]
             ix, iy = image[at, 0], image[at, 1]
@@ -65,10 +65,10 @@ def write_view_distances(
                 b[lane] += u * iy - v * ix
                 u_sum[lane] += u
                 v_sum[lane] += v
-                own[lane] += u * u + v * v
+                square_sum[lane] += u * u + v * v
         for lane in range(LANES):
             best = np.sqrt(a[lane] * a[lane] + b[lane] * b[lane])
-            centred = own[lane] - (u_sum[lane] * u_sum[lane] + v_sum[lane] * v_sum[lane]) / count
+            centred = square_sum[lane] - (u_sum[lane] * u_sum[lane] + v_sum[lane] * v_sum[lane]) / count
             out[block, lane] = squares + centred - two * best
 
 

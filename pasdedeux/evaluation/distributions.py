@@ -25,7 +25,7 @@ def frechet_distance(one: Array, other: Array) -> float:
     The sets need more than d members for covariances of full rank; d is at most 32 here.
     """
     between = float(((one.mean(axis=0) - other.mean(axis=0)) ** 2).sum())
-    first, second = (np.atleast_2d(np.cov(found, rowvar=False)) for found in (one, other))
+    first, second = (np.atleast_2d(np.cov(features, rowvar=False)) for features in (one, other))
     values, vectors = np.linalg.eigh(first)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     mixed = np.sqrt(np.maximum(np.linalg.eigvalsh(root @ second @ root), 0.0)).sum()
@@ -38,9 +38,9 @@ def kernel_distance(first: Array, other: Array) -> float:
     Its mean over draws from the same distribution is 0, so it may be negative.  Each set needs two members.
     """
     within = [
-        (matrix.sum() - np.trace(matrix)) / (len(found) * (len(found) - 1))
-        for found in (first, other)
-        for matrix in (_kernel(found, found),)
+        (matrix.sum() - np.trace(matrix)) / (len(features) * (len(features) - 1))
+        for features in (first, other)
+        for matrix in (_kernel(features, features),)
     ]
     return float(sum(within) - 2.0 * _kernel(first, other).mean())
 

@@ -74,7 +74,7 @@ def _metrics() -> dict[str, tuple[str, str, str]]:
         sentence = figure.meaning[0].lower() + figure.meaning[1:]
         declared.setdefault(_without_ending(figure.metric)[0], (figure.words, sentence, figure.better))
     metrics = _WORDS["metrics"].items()
-    return declared | {name: (*words, better) for better, own in metrics for name, words in own.items()}
+    return declared | {name: (*words, better) for better, named in metrics for name, words in named.items()}
 
 
 def _known(base: str) -> tuple[str, str] | None:

@@ -88,7 +88,10 @@ def pivot_table(
     for score in scores:
         if column(score) in columns:
             cells.setdefault(row(score), {}).setdefault(column(score), []).append(score)
-    rows = ((*names, *(cell(own[one]) if one in own else "" for one in columns)) for names, own in cells.items())
+    rows = (
+        (*names, *(cell(cells_of[key]) if key in cells_of else "" for key in columns))
+        for names, cells_of in cells.items()
+    )
     return TextTable(caption, (*headings, *columns.values()), tuple(rows))
 
 
@@ -135,10 +138,10 @@ def _best(scores: Iterable[Score]) -> set[Score]:
         if np.isfinite(score.value) and not is_bound(score.method):
             rows.setdefault((score.metric, score.split, score.item), []).append(score)
     best = set()
-    for (metric, *_), own in rows.items():
-        if (sign := better_sign(metric)) and len(own) > 1:
-            value = max(sign * score.value for score in own)
-            best |= {score for score in own if sign * score.value == value}
+    for (metric, *_), alternatives in rows.items():
+        if (sign := better_sign(metric)) and len(alternatives) > 1:
+            value = max(sign * score.value for score in alternatives)
+            best |= {score for score in alternatives if sign * score.value == value}
     return best
 
 
@@ -155,16 +158,16 @@ def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False
     rows, counts = [], set()
     for (metric, split), by_method in groups.items():
         means = {
-            method: [score for score in found if "mean of" in score.item] or found
-            for method, found in by_method.items()
+            method: [score for score in method_scores if "mean of" in score.item] or method_scores
+            for method, method_scores in by_method.items()
         }
-        count = max(len(found) for found in means.values())
+        count = max(len(chosen) for chosen in means.values())
         counts.add(count)
-        for found in means.values():
+        for chosen in means.values():
             # A method with only some of the items has no mean over all of them.
-            if len(found) == count:
-                value = weighted_mean((score.value, score.count) for score in found)
-                plain = replace(found[0], low=float("nan"), high=float("nan"))
+            if len(chosen) == count:
+                value = weighted_mean((score.value, score.count) for score in chosen)
+                plain = replace(chosen[0], low=float("nan"), high=float("nan"))
                 rows.append(replace(plain, metric=metric, split=split, item=f"mean of {count}", value=value))
     return score_table(rows, caption=caption, has_marks=has_marks) if counts and max(counts) > 1 else None
 

@@ -92,7 +92,7 @@ def bootstrap_interval(
         return float("nan"), float("nan")
     drawn = np.random.default_rng(0).integers(len(count), size=(_NUM_DRAWS, len(count)))
     others = np.ones(len(values)) if over is None else over
-    total, beside = (np.bincount(unit, one)[drawn].sum(axis=1) for one in (values, others))
+    total, beside = (np.bincount(unit, weights)[drawn].sum(axis=1) for weights in (values, others))
     means = total / np.maximum(beside, 1e-12)
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
@@ -110,8 +110,8 @@ def summarise(values: Mapping[str, npt.NDArray[np.float64]], metric: str, unit: 
     score, such as split and item, are passed on.
     """
     scores = []
-    for method, found in values.items():
-        finite = np.asarray(found, dtype=np.float64)
+    for method, measured in values.items():
+        finite = np.asarray(measured, dtype=np.float64)
         finite = finite[np.isfinite(finite)]
         if finite.size:
             figures = {"mean": finite.mean(), "median": np.median(finite), "p90": np.percentile(finite, 90)}

@@ -201,7 +201,9 @@ class Summary:
 
     def headlines(self) -> list[str]:
         """Return the last lines of a run: what was built, advice, each product, and each verdict that fails."""
-        failed = {name: one for name, one in self.verdicts.items() if one.level is Level.FAIL or not self.products}
+        failed = {
+            name: verdict for name, verdict in self.verdicts.items() if verdict.level is Level.FAIL or not self.products
+        }
         lines = [*self._answers, *filter(None, [self.advice]), *self._product_lines()]
         lines += [f"{name}: {verdict_words(verdict)}" for name, verdict in failed.items()]
         if rest := len(self.verdicts) - len(failed):
@@ -251,7 +253,7 @@ def folded(sentences: Iterable[str]) -> list[str]:
     for sentence in dict.fromkeys(sentences):
         name, colon, rest = sentence.partition(": ")
         names.setdefault(colon + rest if colon else sentence, []).append(name if colon else "")
-    return [f"{listed(found)}{rest}" for rest, found in names.items()]
+    return [f"{listed(who)}{rest}" for rest, who in names.items()]
 
 
 def listed(names: Sequence[str]) -> str:

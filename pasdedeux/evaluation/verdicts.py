@@ -64,16 +64,18 @@ class Items:
         Only items that all of them have count; bounds, which know the ground truth, are no baselines.  None where no
         method was scored.
         """
-        finite = {name: found for name, found in self.values.items() if not is_bound(name) and np.isfinite(found).any()}
+        finite = {
+            name: values for name, values in self.values.items() if not is_bound(name) and np.isfinite(values).any()
+        }
         sign = -1.0 if is_larger_better else 1.0
-        found = [name for name in methods if name in finite] or sorted(
+        candidates = [name for name in methods if name in finite] or sorted(
             (name for name in finite if name not in baselines and not methods),
             key=lambda name: (sign * float(np.nanmean(finite[name])), name),
         )
-        if not found:
+        if not candidates:
             return None
-        beside = sorted(name for name in finite if name in baselines and name != found[0])
-        names = [found[0], *beside]
+        beside = sorted(name for name in finite if name in baselines and name != candidates[0])
+        names = [candidates[0], *beside]
         kept = np.isfinite([finite[name] for name in names]).all(axis=0)
         takes, take = np.unique(np.asarray(self.takes), return_inverse=True)
         seconds = np.floor(np.asarray(self.times_s, dtype=np.float64)).astype(np.int64)
@@ -81,7 +83,7 @@ class Items:
         row = row.ravel()
         sums = {name: tuple(np.bincount(row, finite[name][kept], len(known)).tolist()) for name in names}
         return Paired(
-            method=found[0],
+            method=candidates[0],
             baselines=tuple(beside),
             count=int(kept.sum()) if self.count is None or not kept.any() else self.count,
             takes=tuple(str(takes[at]) for at in known[:, 0]),
@@ -104,7 +106,7 @@ def lead_interval(paired: Paired, baseline: str) -> tuple[float, float]:
 def _means(paired: Paired) -> dict[str, float]:
     """Return the mean figure of each method; empty where there are no items."""
     size = sum(paired.sizes)
-    return {name: math.fsum(found) / size for name, found in paired.sums.items()} if size else {}
+    return {name: math.fsum(sums) / size for name, sums in paired.sums.items()} if size else {}
 
 
 def _sign(paired: Paired) -> float:
@@ -124,7 +126,7 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
     fewer than ten blocks of 1 s.  The baseline that is named is the one that is hardest to beat.
     """
     sizes, num_blocks = np.array(paired.sizes, dtype=np.float64), len(paired.sizes)
-    mean = {name: float(np.sum(found) / sizes.sum()) if num_blocks else math.nan for name, found in paired.sums.items()}
+    mean = {name: float(np.sum(sums) / sizes.sum()) if num_blocks else math.nan for name, sums in paired.sums.items()}
     sign = _sign(paired)
     intervals = {name: lead_interval(paired, name) for name in paired.baselines if num_blocks >= FEWEST_BLOCKS}
     leads = {name: sign * (mean[name] - mean[paired.method]) for name in paired.baselines}
@@ -304,7 +306,9 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
 
     def rank(figure: str) -> tuple[int, int, str]:
         alike = measured[figure]
-        has_reason = any((worst, why) in {(one.level, one.reason), *(row[:2] for row in one.tally)} for one in alike)
+        has_reason = any(
+            (worst, why) in {(same.level, same.reason), *(row[:2] for row in same.tally)} for same in alike
+        )
         return -has_reason, -sum(verdict.count for verdict in alike), figure
 
     alike = measured[min(measured, key=rank)]

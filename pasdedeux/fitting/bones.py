@@ -55,8 +55,10 @@ def topology_of(skeletons: tuple[Skeleton, ...]) -> Topology:
     """Return the topology of skeletons whose points follow each other; cached."""
     first = np.cumsum([0, *(skeleton.num_joints for skeleton in skeletons)])
     bodies = list(zip(first, skeletons, strict=False))
-    parents = np.array([at + up if up >= 0 else -1 for at, one in bodies for up in one.parents], dtype=np.int64)
-    order = np.array([at + joint for at, one in bodies for joint in one.order], dtype=np.int64)
+    parents = np.array(
+        [at + up if up >= 0 else -1 for at, skeleton in bodies for up in skeleton.parents], dtype=np.int64
+    )
+    order = np.array([at + joint for at, skeleton in bodies for joint in skeleton.order], dtype=np.int64)
     carries = np.eye(len(parents))
     for point in order[::-1]:
         if parents[point] >= 0:

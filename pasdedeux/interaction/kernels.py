@@ -48,9 +48,9 @@ def edge_table_3d(points: Array) -> EdgeTable:
     per_set = [delaunay_edges(cloud) for cloud in points]
     longest = max((len(edges) for edges in per_set), default=0)
     edges = np.zeros((len(points), longest, 2), dtype=np.int32)
-    for row, own in enumerate(per_set):
-        edges[row, : len(own)] = own
-    return _weigh(points, edges, np.array([len(own) for own in per_set], dtype=np.int32))
+    for row, set_edges in enumerate(per_set):
+        edges[row, : len(set_edges)] = set_edges
+    return _weigh(points, edges, np.array([len(set_edges) for set_edges in per_set], dtype=np.int32))
 
 
 def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.int32]) -> EdgeTable:

@@ -104,7 +104,7 @@ def interaction_distances(first_m: Array | PairTable, second_m: Array | PairTabl
     Raises:
         InputError: A coordinate is not finite.
     """
-    first, second = (one if isinstance(one, PairTable) else pair_table(one) for one in (first_m, second_m))
+    first, second = (pairs if isinstance(pairs, PairTable) else pair_table(pairs) for pairs in (first_m, second_m))
     distances = np.empty((len(first.points), len(second.points)))
     _fill_distances(first, second, distances)
     return distances
@@ -130,7 +130,7 @@ def image_distances(first_m: Array, second_m: Array) -> Array:
     As `interaction_dissimilarity`: a joint may be missing (NaN).  NaN where two images share fewer than two joints.
     """
     shape = (-1, first_m.shape[1] * first_m.shape[2], 2)
-    first, second = (np.ascontiguousarray(one, dtype=np.float64).reshape(shape) for one in (first_m, second_m))
+    first, second = (np.ascontiguousarray(images, dtype=np.float64).reshape(shape) for images in (first_m, second_m))
     distances = np.empty((len(first), len(second)))
     _fill_image_distances(first, *delaunay_edges_fast(first), second, *delaunay_edges_fast(second), distances)
     return distances

@@ -141,19 +141,19 @@ def lower_shape_minima(counts, bins, gains, sums, best):  # type: ignore[no-unty
     num_others, num_joints, num_seen = bins.shape
     distinct, numbers = np.empty(bins.shape, np.uint16), np.empty(bins.shape, np.uint8)
     before, num_distinct = np.empty(bins.shape, np.uint8), np.empty((num_others, num_joints), np.int64)
-    own = np.zeros(counts.shape[2], dtype=np.uint8)
+    in_bin = np.zeros(counts.shape[2], dtype=np.uint8)
     for column in range(num_others):
         for joint in range(num_joints):
             for k in range(num_seen):
                 at = bins[column, joint, k]
-                before[column, joint, k] = own[at]
-                own[at] += 1
+                before[column, joint, k] = in_bin[at]
+                in_bin[at] += 1
             count = 0
             for k in range(num_seen):
                 at = bins[column, joint, k]
-                if own[at] > 0:
-                    distinct[column, joint, count], numbers[column, joint, count] = at, own[at]
-                    own[at] = 0
+                if in_bin[at] > 0:
+                    distinct[column, joint, count], numbers[column, joint, count] = at, in_bin[at]
+                    in_bin[at] = 0
                     count += 1
             num_distinct[column, joint] = count
     for row in range(counts.shape[0]):

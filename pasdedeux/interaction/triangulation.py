@@ -115,19 +115,19 @@ def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no
                 t = neighbours[t, 1]
             else:
                 break
-        found = -1
+        conflict = -1
         if _in_conflict(x, y, triangles, t, px, py, infinity):
-            found = t
+            conflict = t
         else:
             for other in range(num_triangles):
                 if _in_conflict(x, y, triangles, other, px, py, infinity):
-                    found = other
+                    conflict = other
                     break
-        if found < 0:
+        if conflict < 0:
             continue
         # the cavity: all connected triangles in conflict with p; stamp 2p marks them, 2p + 1 those tried and refused
-        cavity[0] = found
-        stamp[found] = 2 * p
+        cavity[0] = conflict
+        stamp[conflict] = 2 * p
         size = 1
         num_border = 0
         at = 0

@@ -135,5 +135,7 @@ def yaw_rotmat(yaw_rad: Array | float) -> Array:
     """Return rotation matrices (*batch, 3, 3) that turn by `yaw_rad` about +Y, right-handed: +Z turns towards +X."""
     yaw = np.asarray(yaw_rad, dtype=np.float64)
     c, s = np.cos(yaw), np.sin(yaw)
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    return np.stack([np.stack([c, zero, s], -1), np.stack([zero, one, zero], -1), np.stack([-s, zero, c], -1)], axis=-2)
+    zero, ones = np.zeros_like(c), np.ones_like(c)
+    return np.stack(
+        [np.stack([c, zero, s], -1), np.stack([zero, ones, zero], -1), np.stack([-s, zero, c], -1)], axis=-2
+    )

@@ -162,10 +162,10 @@ def generated(
     draws, nobody has any.
     """
     drawn = {name: model.generate(request.source, streams(name)) for name, model in models.items()}
-    made = {name: [drawing] for name, drawing in drawn.items() if drawing is not None}
-    scales = [scale for drawing in made.values() for scale, _ in drawing]
+    drawings = {name: [drawing] for name, drawing in drawn.items() if drawing is not None}
+    scales = [scale for drawing in drawings.values() for scale, _ in drawing]
     beside = [name for name, model in models.items() if scales and model.name in DEFAULT_MODELS]
-    return made | {
+    return drawings | {
         name: [(scale, models[name].predict(replace(request, bone_scale=scale))) for scale in scales] for name in beside
     }
 
@@ -268,9 +268,9 @@ class ModelMeter:
     ) -> dict[str, dict[str, float]]:
         """Return E_b and JPD of `generated`, means where there are several; see `generated_errors`."""
         source, measured = self._request.source, {}
-        for name, made in generated(models, self._request, streams).items():
+        for name, motions in generated(models, self._request, streams).items():
             template = (source.positions_m, self.keys, source.skeleton)
-            rows = [generated_errors(motion, scale, *template) for scale, motion in made]
+            rows = [generated_errors(motion, scale, *template) for scale, motion in motions]
             measured[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         return measured
 

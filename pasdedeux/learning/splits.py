@@ -142,8 +142,8 @@ def make_split(
         left = [key for key in others if not _is_beyond(key)]
     if not left:
         left, train = _draw(train, _VALIDATION_SHARE, generator, fewest=0)
-    for what, found in (("training", train), ("test", test)):
-        if not found:
+    for what, keys_of_part in (("training", train), ("test", test)):
+        if not keys_of_part:
             raise InputError(
                 f"split '{name}' has no {what} variant among {len(keys)} variants of "
                 f"{counted(len(takes), 'take')}; it needs {_NEEDS[kind]}"

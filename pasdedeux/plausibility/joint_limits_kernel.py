@@ -156,10 +156,10 @@ def _girdle(walk: _Walk, centre: int, up: Vector, left: int, right: int, index: 
             _turn_to(
                 points, joint, joint + 2, centre, direction, weighted_sum(math.cos(target), level, math.sin(target), up)
             )
-    one, two = _bone_of(points, centre, left), _bone_of(points, centre, right)
-    one = weighted_sum(1.0, one, -dot(one, up), up)
-    two = weighted_sum(1.0, two, -dot(two, up), up)
-    spread = _angle(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
+    left_bone, right_bone = _bone_of(points, centre, left), _bone_of(points, centre, right)
+    left_bone = weighted_sum(1.0, left_bone, -dot(left_bone, up), up)
+    right_bone = weighted_sum(1.0, right_bone, -dot(right_bone, up), up)
+    spread = _angle(dot(cross(left_bone, right_bone), up), dot(left_bone, right_bone)) % _TWO_PI
     change = _change(walk, spread_index, spread, 0.0)
     if change != 0.0:
         cosine, sine = math.cos(0.5 * change), math.sin(0.5 * change)

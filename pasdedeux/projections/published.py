@@ -159,14 +159,14 @@ class PublishedIndex:
             seen[np.broadcast_to(np.asarray(weights), seen.shape[:-1]) <= 0] = np.nan
         query, weight = prepare_query(scale_to_box(seen), weights, num_joints=self.database.num_joints)
         shape = (*query.shape[:-2], _NUM_NEAREST_CLUSTERS * _NUM_OF_CLUSTER)
-        found = np.full(shape, -1, dtype=np.int64)
+        numbers_found = np.full(shape, -1, dtype=np.int64)
         distance = np.full(shape, np.inf)
         for at in np.ndindex(shape[:-1]):
             if weight[at].any():
                 numbers, summed = self._best(query[at], weight[at])
-                found[at][: len(numbers)] = numbers
+                numbers_found[at][: len(numbers)] = numbers
                 distance[at][: len(numbers)] = summed / weight[at].sum(dtype=np.float64)
-        return Neighbours(found, distance, self.database.num_yaws)
+        return Neighbours(numbers_found, distance, self.database.num_yaws)
 
     def _best(self, query: Floats32, weight: Floats32) -> tuple[Integers, Array]:
         """Return the best projections (n,) of the nearest clusters, and their weighted sums of distances (n,)."""
@@ -192,11 +192,11 @@ def _summed_distances(images: Floats32, others: Floats32, weight: Floats32 | Non
 
 @compiled()
 def _add_distances(images: Floats32, others: Floats32, weight: Floats32, out: Array) -> None:
-    for one in range(images.shape[0]):
+    for image in range(images.shape[0]):
         for other in range(others.shape[0]):
             total = np.float32(0.0)
             for joint in range(images.shape[1]):
-                dx = images[one, joint, 0] - others[other, joint, 0]
-                dy = images[one, joint, 1] - others[other, joint, 1]
+                dx = images[image, joint, 0] - others[other, joint, 0]
+                dy = images[image, joint, 1] - others[other, joint, 1]
                 total += weight[joint] * np.sqrt(dx * dx + dy * dy)
-            out[one, other] = total
+            out[image, other] = total

@@ -213,7 +213,7 @@ def search_tree(
     Returns:
         Numbers, -1 where there is none, and sums, ascending, inf where there is none.
     """
-    found = np.full((queries.shape[0], num_neighbours), -1, dtype=np.int64)
+    numbers = np.full((queries.shape[0], num_neighbours), -1, dtype=np.int64)
     summed = np.full((queries.shape[0], num_neighbours), np.inf, dtype=np.float32)
     num_levels = tree.level_start.shape[0] - 1
     lanes = tree.leaves.shape[2]
@@ -222,7 +222,7 @@ def search_tree(
         query, weight = queries[at], weights[at]
         if weight.sum() <= 0:
             continue
-        best, best_number = summed[at], found[at]
+        best, best_number = summed[at], numbers[at]
         last = best.shape[0] - 1
         heap = [(np.float32(0.0), 0, 0)]
         while heap:
@@ -241,4 +241,4 @@ def search_tree(
                 lowered = lane_value[lane] * _ROUNDING
                 if tree.half[inner, 0, lane] >= 0 and lowered <= best[last]:
                     heapq.heappush(heap, (lowered, level + 1, node * lanes + lane))
-    return found, summed
+    return numbers, summed

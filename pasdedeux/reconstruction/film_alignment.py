@@ -207,7 +207,7 @@ class _FilmPoints:
         start = np.concatenate([camera, np.zeros(3)])
         x = least_squares(residuals, start, bounds=(-limit, limit), loss="soft_l1", x_scale="jac", max_nfev=50).x
         turn = _OURS_FROM_CV @ Rotation.from_rotvec(x[:3]).as_matrix()
-        made = PinholeCamera(
+        aligned = PinholeCamera(
             focal_px=self.lens.focal_px * float(np.exp(x[6])),
             principal_point_px=np.array(self.lens.principal_point_px),
             camera_from_world_rotmat=turn,
@@ -216,7 +216,7 @@ class _FilmPoints:
         own_rate = rate * float(np.exp(x[8]))
         median = float(np.median(np.linalg.norm(distances(x), axis=1)))
         names = tuple(self.person_ids[person] for person in people)
-        return FilmAlignment(made, names, start_s + float(x[7]) - own_rate * middle_s, own_rate, median)
+        return FilmAlignment(aligned, names, start_s + float(x[7]) - own_rate * middle_s, own_rate, median)
 
 
 def _at(motion: Array, frames: Array) -> Array:

@@ -254,7 +254,7 @@ def place_people(
     """
     assert first.scene is not None
     camera, name = replace(database.camera, pitch_rad=pitch.pitch_rad), first.methods[-1].name
-    made = _finished(name, tuple(map(hold_hips, people)), database, camera, is_cleaned=options.has_clean_up)
+    methods = _finished(name, tuple(map(hold_hips, people)), database, camera, is_cleaned=options.has_clean_up)
     shown = {person.person_id for person in people}
     skipped = dict.fromkeys(first.motions.keys() - shown, "no other camera shows this person")
     scene = replace(
@@ -262,8 +262,8 @@ def place_people(
     )
     return replace(
         first,
-        methods=tuple(made),
-        motions=_motions(made[-1]),
+        methods=tuple(methods),
+        motions=_motions(methods[-1]),
         skipped={**first.skipped, **skipped},
         pitch=pitch,
         scene=scene,
@@ -277,11 +277,11 @@ def _finished(
 ) -> list[MethodMotions]:
     """Return the motions of a method with bodies, and those after the clean-up."""
     origin_m = floor_offset(people, camera)
-    made = [_embodied(name, people, origin_m, database, camera)]
+    methods = [_embodied(name, people, origin_m, database, camera)]
     if is_cleaned:
         people = tuple(clean_reconstructions(people, origin_m, camera))
-        made.append(_embodied(f"{name}_clean", people, origin_m, database, camera))
-    return made
+        methods.append(_embodied(f"{name}_clean", people, origin_m, database, camera))
+    return methods
 
 
 def _match(

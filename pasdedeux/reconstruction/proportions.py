@@ -94,23 +94,23 @@ def _retarget(points: Array, ratio: Array, moved: Array) -> None:
             neck[axis] = 0.5 * (points[_LEFT_SHOULDER, axis] + points[_RIGHT_SHOULDER, axis])
     has_neck = _is_seen(neck)
     for joint in _ORDER:
-        length, own = _LENGTHS_M[joint], _LENGTHS_M[joint] * ratio[joint]
+        length, own_length = _LENGTHS_M[joint], _LENGTHS_M[joint] * ratio[joint]
         ancestor, top = _PARENTS[joint], joint
         while ancestor != _NECK and not _is_seen(points[ancestor]):
             length += _LENGTHS_M[ancestor]
-            own += _LENGTHS_M[ancestor] * ratio[ancestor]
+            own_length += _LENGTHS_M[ancestor] * ratio[ancestor]
             ancestor, top = _PARENTS[ancestor], ancestor
         is_of_leg = _IS_HIP[top]
         if ancestor == _NECK and not has_neck and not (is_of_leg and top == joint):
             # Seen from the mid-hip, not the neck, legs are nearer by the length of the torso, all else farther.
             sign = -1.0 if is_of_leg else 1.0
             length += sign * _LENGTHS_M[_LEFT_HIP]
-            own += sign * _LENGTHS_M[_LEFT_HIP] * ratio[_LEFT_HIP]
+            own_length += sign * _LENGTHS_M[_LEFT_HIP] * ratio[_LEFT_HIP]
         for axis in range(2):
             old, new = points[ancestor, axis], moved[ancestor, axis]
             if ancestor == _NECK:
                 old = new = neck[axis] if has_neck else 0.0
-            moved[joint, axis] = new + (points[joint, axis] - old) / (own / length)
+            moved[joint, axis] = new + (points[joint, axis] - old) / (own_length / length)
     for axis in range(2):
         shift = 0.5 * (moved[_LEFT_HIP, axis] + moved[_RIGHT_HIP, axis])
         if not np.isfinite(shift):

@@ -137,7 +137,7 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
     camera = searcher.database.camera
     track = seen.track
     matches = match_track(searcher, track, _KNOWN_BODY)
-    made = {
+    tracks = {
         method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=matches)
         for method in searcher.methods
     }
@@ -146,11 +146,11 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bo
         BEST: best_candidates(searcher, matches, seen.truth_m),
         STILL: np.broadcast_to(centred.mean(axis=0), centred.shape),
     }
-    motions |= {name: one.positions_m for name, one in made.items()}
+    motions |= {name: reconstructed.positions_m for name, reconstructed in tracks.items()}
     if not has_clean_up:
         return motions
-    for name, one in made.items():
-        (cleaned,) = clean_reconstructions([one], floor_offset([one], camera), camera)
+    for name, reconstructed in tracks.items():
+        (cleaned,) = clean_reconstructions([reconstructed], floor_offset([reconstructed], camera), camera)
         motions[name + CLEAN] = cleaned.positions_m
     motions[LIVE] = _live_motion(searcher, track, has_clean_up=False)
     motions[LIVE + CLEAN] = _live_motion(searcher, track, has_clean_up=True)

@@ -84,8 +84,8 @@ def invariants(pair_m: Array) -> Array:
             above, below = points[..., start, :] - points[..., middle, :], points[..., end, :] - points[..., middle, :]
             cross = np.linalg.norm(np.cross(above, below), axis=-1)
             columns.append(np.arctan2(cross, np.sum(above * below, axis=-1)))
-    for one, other in _JOINT_PAIRS:
-        gap = pair_m[..., 0, PAIR17.index(one), :] - pair_m[..., 1, PAIR17.index(other), :]
+    for joint, partner_joint in _JOINT_PAIRS:
+        gap = pair_m[..., 0, PAIR17.index(joint), :] - pair_m[..., 1, PAIR17.index(partner_joint), :]
         columns.append(np.linalg.norm(gap, axis=-1))
     return np.stack(columns, axis=-1)
 

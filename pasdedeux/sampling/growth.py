@@ -291,8 +291,8 @@ def _completed(shown: Array, alike: Array) -> Array:
     An unseen joint is placed as in the other pair, displaced by the mean of its neighbours in the skeleton.
     """
     displacement = (shown - alike).reshape(2, PAIR17.num_joints, 2)
-    for own in displacement:
-        is_missing = np.isnan(own[:, 0])
-        pull = _TREE[np.ix_(is_missing, ~is_missing)] @ own[~is_missing]
-        own[is_missing] = np.linalg.solve(_TREE[np.ix_(is_missing, is_missing)], -pull)
+    for shifts in displacement:
+        is_missing = np.isnan(shifts[:, 0])
+        pull = _TREE[np.ix_(is_missing, ~is_missing)] @ shifts[~is_missing]
+        shifts[is_missing] = np.linalg.solve(_TREE[np.ix_(is_missing, is_missing)], -pull)
     return alike + displacement.reshape(shown.shape)

@@ -162,17 +162,17 @@ def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-unt
     key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
     room, last = kept.points.shape[0] - 1, 0
     while row < stop and count <= room:
-        found = -1
+        nearest = -1
         if count and _is_within(radius_m, new, row, kept, last, key, m, q, rotmat):
-            found = last
+            nearest = last
         other = 0
-        while found < 0 and other < count:
+        while nearest < 0 and other < count:
             if _is_within(radius_m, new, row, kept, other, key, m, q, rotmat):
-                found = other
+                nearest = other
             other += 1
-        if found >= 0:
-            kept.weight[found] += new.weight[row]
-            last = found
+        if nearest >= 0:
+            kept.weight[nearest] += new.weight[row]
+            last = nearest
         else:
             kept.points[count], kept.lengths[count] = new.points[row], new.lengths[row]
             kept.weight[count], kept.number[count] = new.weight[row], new.number[row]
@@ -229,7 +229,7 @@ def _compare_chosen(kept, chosen, distance_m, nearest):  # type: ignore[no-untyp
         latest = chosen[place]
         distance_m[place] = gap[latest]
         for row in range(count):
-            found = _least_gap(gap[row], kept, row, kept, latest, key, m, q, rotmat)
-            if found < gap[row]:
-                gap[row], nearest[row] = found, place
+            distance = _least_gap(gap[row], kept, row, kept, latest, key, m, q, rotmat)
+            if distance < gap[row]:
+                gap[row], nearest[row] = distance, place
         gap[latest], nearest[latest] = 0.0, place

@@ -162,7 +162,7 @@ def _repair(shard: Shard, options: RepairParameters, store: Store) -> ArtifactRe
         }
     )
     parameters = np.concatenate([end.parameters for end in ends])
-    repaired = np.stack([target.chart.positions(own) for target, own in zip(targets, parameters, strict=True)])
+    repaired = np.stack([target.chart.positions(vector) for target, vector in zip(targets, parameters, strict=True)])
     quality = seed_quality(repaired, limits, options.target)
     columns = {
         "density": [options.name] * len(ends),

@@ -260,8 +260,8 @@ def gap_scores(
     energies = {"sample_energy_excess_worst": max(excess)}
     return [
         score
-        for found, unit in ((figures, "m"), (energies, ""))
-        for score in scores_of(found, _OURS, unit, item=item, count=len(bulk))
+        for values, unit in ((figures, "m"), (energies, ""))
+        for score in scores_of(values, _OURS, unit, item=item, count=len(bulk))
     ]
 
 

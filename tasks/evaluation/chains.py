@@ -162,8 +162,8 @@ def _summarised(shard: Shard, store: Store) -> TopicResult[_ShownChains]:
             reason = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"
             notable.setdefault(density, []).append(reason)
     notes = [
-        f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass, for example {found[0]}."
-        for density, found in notable.items()
+        f"{in_words(density)}: {len(reasons)} of {totals[density]} chains did not pass, for example {reasons[0]}."
+        for density, reasons in notable.items()
     ]
     return TopicResult(scores, notes=notes, baselines=_baselines(shard, store))
 

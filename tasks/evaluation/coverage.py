@@ -209,7 +209,7 @@ def _dots(pairs_m: np.ndarray, counts: Sequence[int]) -> _Dots:
     rows = {count: evenly_spread(min(len(pairs_m), count), _MAX_DOTS) for count in counts}
     every = np.unique(np.concatenate(list(rows.values())))
     table = pair_table(pairs_m[every].astype(np.float64))
-    return _Dots(table, {count: np.searchsorted(every, own) for count, own in rows.items()})
+    return _Dots(table, {count: np.searchsorted(every, chosen) for count, chosen in rows.items()})
 
 
 def _parts(pairs_m: np.ndarray) -> Iterator[DrawPart]:
@@ -308,7 +308,7 @@ def realism_scores(
     """
     real = real_m[generator.permutation(len(real_m))[:_MAX_REAL]]
     some = [np.asarray(pairs[:_MAX_DRAWS], dtype=np.float64) for pairs in draws.values()]
-    distances = {name: cartesian_distances(own, real).min(axis=1) for name, own in zip(draws, some, strict=True)}
+    distances = {name: cartesian_distances(pairs, real).min(axis=1) for name, pairs in zip(draws, some, strict=True)}
     return summarise(distances, "draw_to_nearest_real_D_C", "m", split=split)
 
 

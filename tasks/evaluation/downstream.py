@@ -150,11 +150,11 @@ def _recognise(shard: Shard, store: Store) -> TopicResult[None]:
         for by in trained
         if by != WITHOUT
     }
-    told = [("recognised", name, trained[WITHOUT].accuracy(clips), clips) for name, clips in asked.items() if clips]
-    told += [("recognised", name, shares[method], tested) for name, method in ((TRUTH, WITHOUT), (LARGEST, LARGEST))]
-    told += [("accuracy", method, value, tested) for method, value in shares.items()]
+    figures = [("recognised", name, trained[WITHOUT].accuracy(clips), clips) for name, clips in asked.items() if clips]
+    figures += [("recognised", name, shares[method], tested) for name, method in ((TRUTH, WITHOUT), (LARGEST, LARGEST))]
+    figures += [("accuracy", method, value, tested) for method, value in shares.items()]
     more: dict[str, Any] = {"split": repetition.options.shares, "item": f"seed {repetition.options.seed}"}
-    scores = [Score(metric, name, value, "%", count=_count(clips), **more) for metric, name, value, clips in told]
+    scores = [Score(metric, name, value, "%", count=_count(clips), **more) for metric, name, value, clips in figures]
     values = {method: np.array([value]) for method, value in shares.items()}
     return repetition.result(scores, Items(values, [repetition.name], [0.0], _count(tested)))
 
@@ -201,12 +201,12 @@ class _Repetition:
         refuse_without_torch(f"the topic {shard.partition}", "evaluation.num_downstream_seeds=0")
         self.options, self._seed, self._cut = shard.options(OneTraining), shard.seed, cut
         takes, first = shard.refs("takes"), self.options.models[:1]
-        made = {BY_SOLVER: list(shard.refs("variants"))}
+        refs_by_origin = {BY_SOLVER: list(shard.refs("variants"))}
         for ref in shard.refs("generated"):
             model = _model_of(store.manifest(ref))
             by = BY_MODEL if model in first else _BY + model.partition("@")[0]
-            made.setdefault(by, []).append(ref)
-        self._variants = {by: StoredVariants(store, takes, refs) for by, refs in made.items()}
+            refs_by_origin.setdefault(by, []).append(ref)
+        self._variants = {by: StoredVariants(store, takes, refs) for by, refs in refs_by_origin.items()}
         self.train, self.test = split_takes(map(store.manifest, takes), self.options, self.stream("takes"))
 
     @property
@@ -323,7 +323,7 @@ def prediction_tables(scores: Sequence[Score]) -> list[TextTable]:
             lambda s: (_motion(s),),
             {f"{horizon:g}": f"{horizon} s" for horizon in HORIZONS_S},
             lambda s: f"{s.at:g}",
-            lambda found: " / ".join(_mean([one for one in found if one.method == name]) for name in methods),
+            lambda in_cell: " / ".join(_mean([score for score in in_cell if score.method == name]) for name in methods),
         )
         tables += [table] if table.rows else []
     return tables
@@ -333,8 +333,10 @@ def _seed_table(scores: Sequence[Score], caption: str) -> list[TextTable]:
     """Return the figures of each training set by split, and differences seed by seed; empty without figures."""
     there = {score.method for score in scores}
     methods = [method for method in (*_METHODS, *sorted(there.difference(_METHODS))) if method in there]
-    made = [method for method in methods if method.startswith(_BY)]
-    pairs = [(method, WITHOUT) for method in made] + [(method, BY_SOLVER) for method in made if method != BY_SOLVER]
+    augmented = [method for method in methods if method.startswith(_BY)]
+    pairs = [(method, WITHOUT) for method in augmented] + [
+        (method, BY_SOLVER) for method in augmented if method != BY_SOLVER
+    ]
     pairs = [pair for pair in pairs if there.issuperset(pair)]
     rows = []
     splits = {score.split: None for score in sorted(scores, key=lambda score: _division(score.split))}

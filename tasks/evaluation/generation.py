@@ -81,7 +81,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
         clips[method][take_id] = [cut_clips(item.motion_m, source.rate_hz) for item in items]
         contacts = ModelMeter(items[0].request).contacts
         drifts = contact_drifts(contacts, source, ((item.request.bone_scale, item.motion_m) for item in items))
-        ours_mm, plain_mm = (1e3 * found.ravel() for found in drifts.found_m.values())
+        ours_mm, plain_mm = (1e3 * drift.ravel() for drift in drifts.found_m.values())
         errors_mm.setdefault(method, []).append(ours_mm)
         if method == SOLVER:
             continue
@@ -93,8 +93,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownGeneration]:
     more = {"split": f"{facts.split} test"}
     scores = [
         score
-        for method, found in errors_mm.items()
-        if len(values := np.concatenate(found))
+        for method, parts in errors_mm.items()
+        if len(values := np.concatenate(parts))
         for score in scores_of({"contact_error": values.mean()}, method, "mm", count=len(values), **more)
     ]
     seen = (
@@ -130,10 +130,10 @@ def _wanted(store: Store, shard: Shard, model: str) -> Iterator[tuple[str, str, 
     for name, by_take in wanted.items():
         for facts in VariantFacts.read(store, shard.refs(name)):
             by_take.setdefault(facts.take_id, []).extend((facts.take_id, variant) for variant in facts.variants)
-    for take_id, made in sorted(wanted["generated"].items()):
-        yield model, take_id, made
+    for take_id, variants in sorted(wanted["generated"].items()):
+        yield model, take_id, variants
         if solved := wanted["solved"].get(take_id):
-            yield SOLVER, take_id, some_of(solved, len(made))
+            yield SOLVER, take_id, some_of(solved, len(variants))
 
 
 def distribution_scores(

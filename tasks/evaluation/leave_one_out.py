@@ -276,7 +276,9 @@ def _nearest_annotations(
             table = store.read(ref, "draws", columns=names)
             places = zip(*(table[name].tolist() for name in names), strict=True)
             nearest.setdefault(density_of(manifest), []).extend(images[place] for place in places if place in images)
-    return {name: np.stack(found) for name, found in sorted(nearest.items()) if found}
+    return {
+        name: np.stack(images_of_density) for name, images_of_density in sorted(nearest.items()) if images_of_density
+    }
 
 
 def annotation_map_figure(images_m: Array, nearest: Mapping[str, Array], left_out_m: Array) -> bytes:

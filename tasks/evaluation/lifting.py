@@ -93,7 +93,7 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     virtual = [manifest for manifest in annotations if SequenceFacts.of(manifest).is_virtual]
     shards = []
     if shown and draws and learned:
-        every = with_views([*shown, *(one for one in learned if one not in shown)], inputs)
+        every = with_views([*shown, *(manifest for manifest in learned if manifest not in shown)], inputs)
         shards.append(TOPIC.shard(inputs, "nearest", lifted=lifted, known=learned, draws=draws, **every))
     if lifted and takes and virtual:
         shards.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=virtual, lifted=lifted))
@@ -162,9 +162,9 @@ def _lifted(shard: Shard, store: Store) -> TopicResult[_ShownLifting]:
     for split in sorted({row.split for row in lifted}):
         places = [same for _, same in sorted(_by_place(lifted, split).items())]
         examples[split] = [
-            {"truth": same[0].true_m, **{name: made[name] for name in _SHOWN if name in made}}
+            {"truth": same[0].true_m, **{name: pair_by_method[name] for name in _SHOWN if name in pair_by_method}}
             for same in some_of(places, _NUM_EXAMPLES, has_ends=False)
-            for made in [{row.method: row.pair_m for row in same}]
+            for pair_by_method in [{row.method: row.pair_m for row in same}]
         ]
     return TopicResult(scores, items=items, baselines=_BASELINES, shown=_ShownLifting(expected_m, examples))
 

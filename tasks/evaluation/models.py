@@ -118,8 +118,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
         tested.append(VariantKey(take_id, item.variant_id, request.bone_scale))
         meter = meters.setdefault(take_id, ModelMeter(request))
         predicted = {name: model.predict(request) for name, model in models.items()}
-        for name, found in meter.measure(request.bone_scale, predicted, item.motion_m).items():
-            errors[name].append(found)
+        for name, measured in meter.measure(request.bone_scale, predicted, item.motion_m).items():
+            errors[name].append(measured)
         parts.append(frame_errors(item, predicted))
     rivals = [name for name, model in models.items() if model.name in DEFAULT_MODELS]
     plain = [name for name, model in models.items() if model.name in BASELINES]
@@ -127,14 +127,16 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     takes = None if facts.shares_takes else [key.take_id for key in tested]
 
     def scores_of_rows(item: str, rows: Sequence[int]) -> list[Score]:
-        chosen = {name: [found[row] for row in rows] for name, found in errors.items()}
+        chosen = {name: [per_item[row] for row in rows] for name, per_item in errors.items()}
         row_takes = None if takes is None else [takes[row] for row in rows]
         return model_scores(chosen, split=split, item=item, takes=row_takes) if rows else []
 
     distances = {name: of_model for name, of_model in errors.items() if name != SOLVER}
     scores = scores_of_rows("all", range(len(tested)))
     scores += share_scores(distances, rivals=rivals, split=split, takes=takes)
-    scores += fall_scores({ModelFacts.of(one).model: store.read(one.ref, "training_log") for one in stored}, split)
+    scores += fall_scores(
+        {ModelFacts.of(manifest).model: store.read(manifest.ref, "training_log") for manifest in stored}, split
+    )
     interactions = interactions_of(map(store.manifest, shard.refs("takes")))
     for motion in sorted({interactions[key.take_id] for key in tested}):
         motion_rows = [row for row, key in enumerate(tested) if interactions[key.take_id] == motion]
@@ -145,8 +147,8 @@ def _compute(shard: Shard, store: Store) -> TopicResult[_ShownModels]:
     for take_id, meter in meters.items():
         for draw in range(_DRAWS):
             streams = partial(stream, shard.seed, "evaluation", "generated", split, take_id, draw)
-            for name, found in meter.measure_generated(models, streams).items():
-                drawn.setdefault(name, []).append(found)
+            for name, measured in meter.measure_generated(models, streams).items():
+                drawn.setdefault(name, []).append(measured)
     of_draws = [take_id for take_id in meters for _ in range(_DRAWS)]
     scores += model_scores(drawn, split=split, item=GENERATED, takes=of_draws)
     best = best_model(scores, split=split, baselines=baselines)
@@ -232,9 +234,9 @@ def model_scores(
     Figures that are NaN everywhere have no score.  Where the variants' takes are given, the interval is over takes.
     """
     scores = []
-    for model, found in errors.items():
-        for metric in dict.fromkeys(name for error in found for name in error):
-            values = np.array([error.get(metric, np.nan) for error in found])
+    for model, per_item in errors.items():
+        for metric in dict.fromkeys(name for error in per_item for name in error):
+            values = np.array([error.get(metric, np.nan) for error in per_item])
             is_known = np.isfinite(values)
             if not is_known.any():
                 continue
@@ -250,17 +252,19 @@ def share_scores(
     errors: Mapping[str, Sequence[Errors]], *, rivals: Collection[str], split: str, takes: Sequence[str] | None = None
 ) -> list[Score]:
     """Return E_r of each model in percent of that of its best rival, with the interval as `model_scores` has it."""
-    values = {name: np.array([error["E_r"] for error in found]) for name, found in errors.items() if found}
-    beside = [found for name, found in values.items() if name in rivals]
+    values = {name: np.array([error["E_r"] for error in per_item]) for name, per_item in errors.items() if per_item}
+    beside = [per_item for name, per_item in values.items() if name in rivals]
     if not beside:
         return []
-    best = min(beside, key=lambda found: float(found.mean()))
+    best = min(beside, key=lambda per_item: float(per_item.mean()))
     scores = []
-    for model, found in values.items():
+    for model, per_item in values.items():
         if model not in rivals:
-            low, high = (100.0 * end for end in bootstrap_interval(found, best, units=takes))
-            share = 100.0 * float(found.mean() / max(best.mean(), 1e-12))
-            scores.append(Score(SHARE, model, share, UNITS[SHARE], split=split, count=len(found), low=low, high=high))
+            low, high = (100.0 * end for end in bootstrap_interval(per_item, best, units=takes))
+            share = 100.0 * float(per_item.mean() / max(best.mean(), 1e-12))
+            scores.append(
+                Score(SHARE, model, share, UNITS[SHARE], split=split, count=len(per_item), low=low, high=high)
+            )
     return scores
 
 
@@ -284,7 +288,8 @@ def learning_curves(logs: Sequence[TableData]) -> dict[str, tuple[Array, Array]]
             if name is not None:
                 curves.setdefault(name, {})[float(step)] = float(value)
     return {
-        name: (np.array(sorted(own)), np.array([own[step] for step in sorted(own)])) for name, own in curves.items()
+        name: (np.array(sorted(by_step)), np.array([by_step[step] for step in sorted(by_step)]))
+        for name, by_step in curves.items()
     }
 
 
@@ -313,8 +318,8 @@ def model_figure(
     at = np.round(np.array(scales) / _SCALE_STEP) * _SCALE_STEP
     known = np.unique(np.round(at, 6))
     curves = {}
-    for model, found in errors.items():
-        values = np.array([error["E_r"] for error in found])
+    for model, per_item in errors.items():
+        values = np.array([error["E_r"] for error in per_item])
         curves[model] = known, np.array([values[np.isclose(at, scale)].mean() for scale in known])
     return curve_figure(
         [CurvePanel("mean joint error E_r (cm)", curves, baselines)],

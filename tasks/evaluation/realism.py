@@ -98,12 +98,12 @@ def _compute(shard: Shard, store: Store) -> TopicResult[None]:
             take_id, rate_hz = item.request.take_id, item.request.source.rate_hz
             strata.append((kinds[take_id], take_id))
             unit = take_id if is_of_takes else f"{take_id} {item.variant_id}"
-            made = {name: model.predict(item.request) for name, model in models.items()}
+            predictions = {name: model.predict(item.request) for name, model in models.items()}
             streams = partial(stream, shard.seed, "evaluation", "drawn", split, take_id, item.variant_id)
             several = generated(models, item.request, streams)
             # Rivals of models that draw scales take the scales of each in turn, so they have no more clips.
             last = {name: draws[len(predicted.get(SOLVER, ())) % len(draws)][1] for name, draws in several.items()}
-            for clips, motions in ((predicted, made), (drawn, last)):
+            for clips, motions in ((predicted, predictions), (drawn, last)):
                 for name, motion in {**motions, SOLVER: item.motion_m}.items():
                     clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, cut_clips(motion, rate_hz)))
         dealt = halves(strata, stream(shard.seed, "evaluation", "halves", split))
@@ -134,7 +134,7 @@ def train_on_real(
     if len(real) < 2:
         return None, ["Distributions are skipped: all takes that are not held out show the same interaction."]
     classifier = train_classifier(real, settings, stream(shard.seed, "evaluation", "classifier"))
-    counted = ", ".join(f"{kind} {len(found)}" for kind, found in real.items())
+    counted = ", ".join(f"{kind} {len(clips)}" for kind, clips in real.items())
     return classifier, [
         f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
         f"{classifier.accuracy(real):.0f} % of them correctly, and has the digest {classifier.digest}.",

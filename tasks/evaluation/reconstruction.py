@@ -165,10 +165,14 @@ def _read_film(
         true = film.truth_at(motion_m[:, number], rate_hz, times_s) @ film.camera.camera_from_world_rotmat.T
         known = np.isfinite(true).all(axis=(1, 2))
         if known.any():
-            made_m = {str(name): table["op14_m"][own].astype(np.float64)[known] for name, own in rows.items()}
+            positions_m = {
+                str(name): table["op14_m"][method_rows].astype(np.float64)[known] for name, method_rows in rows.items()
+            }
             item, names = f"{sequence_id} person {person}", [take_id] * int(known.sum())
             at_s = (film.offset_s + film.rate * times_s[known]).tolist()
-            people.append(Reconstructed(item, true[known], made_m, table["frame"][first][known], person, names, at_s))
+            people.append(
+                Reconstructed(item, true[known], positions_m, table["frame"][first][known], person, names, at_s)
+            )
     if not people:
         raise InputError("nobody of its take was reconstructed")
     return people, replace(truth, cameras={sequence_id: film.camera}), film
@@ -218,12 +222,12 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
     truth = person.truth_m
     still = np.broadcast_to((truth - mid_hip(truth)[:, None]).mean(axis=0), truth.shape)
     scores = [Score("jitter", "truth", jitter_m(truth), "m", split=split, item=person.item)]
-    for method, found in {**person.found_m, "standing_still": still}.items():
+    for method, motion_m in {**person.found_m, "standing_still": still}.items():
         figures = {
-            "error_root_kept": float(root_centred_error_m(found, truth).mean()),
-            "error_root_removed": float(root_removed_error_m(found, truth).mean()),
-            "error_scale_free": float(scale_free_error_m(found, truth).mean()),
-            "jitter": jitter_m(found),
+            "error_root_kept": float(root_centred_error_m(motion_m, truth).mean()),
+            "error_root_removed": float(root_removed_error_m(motion_m, truth).mean()),
+            "error_scale_free": float(scale_free_error_m(motion_m, truth).mean()),
+            "jitter": jitter_m(motion_m),
         }
         scores += scores_of(figures, method, "m", split=split, item=person.item, count=len(truth))
     return scores
@@ -233,7 +237,7 @@ def reconstruction_items(people: Sequence[Reconstructed]) -> Items:
     """Return the error of every pose with root rotation kept, by method."""
     parts = []
     for person in people:
-        errors = {method: root_centred_error_m(found, person.truth_m) for method, found in person.found_m.items()}
+        errors = {method: root_centred_error_m(motion_m, person.truth_m) for method, motion_m in person.found_m.items()}
         parts.append(Items(errors, person.takes, person.times_s))
     return Items.joined(parts)
 
@@ -258,11 +262,11 @@ def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item
     if between:
         between["equal_depth"] = list(between.values())[-1] * [1.0, 1.0, 0.0]
     scores = []
-    for method, found in between.items():
+    for method, offsets_m in between.items():
         figures = {
-            "pair_distance_error": np.abs(np.linalg.norm(found, axis=-1) - np.linalg.norm(true, axis=-1)).mean(),
-            "pair_place_error": np.linalg.norm(found - true, axis=-1).mean(),
-            "pair_depth_error": np.abs(found[:, 2] - true[:, 2]).mean(),
+            "pair_distance_error": np.abs(np.linalg.norm(offsets_m, axis=-1) - np.linalg.norm(true, axis=-1)).mean(),
+            "pair_place_error": np.linalg.norm(offsets_m - true, axis=-1).mean(),
+            "pair_depth_error": np.abs(offsets_m[:, 2] - true[:, 2]).mean(),
         }
         scores += scores_of(figures, method, "m", split=split, item=item, count=len(common))
     return scores

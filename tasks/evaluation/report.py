@@ -90,7 +90,7 @@ def run_shard(topics: Sequence[Topic[Any]], shard: Shard, store: Store) -> Artif
             settings.title,
             settings.description,
             summary,
-            [one for one in every if one is not None],
+            [section for section in every if section is not None],
             _hero(store, manifests),
         ),
         [*summary.skipped, *_unasked(silent, there)],
@@ -144,14 +144,17 @@ def _beyond(section: Section) -> list[str]:
     sentences = [f"{len(beside):,} pictures lie beside the page: {listed(beside)}."] if beside else []
     long = [table for table in section.tables if len(table.rows) > _MAX_ROWS]
     return sentences + [
-        f"{one.caption}: the first {_MAX_ROWS} of {len(one.rows):,} rows; the table `scores` has all." for one in long
+        f"{table.caption}: the first {_MAX_ROWS} of {len(table.rows):,} rows; the table `scores` has all."
+        for table in long
     ]
 
 
 def _unasked(silent: Sequence[Topic[Any]], there: Set[str]) -> list[str]:
     """Return sentences on topics without a section, and on the keys that request them."""
     keys = {
-        topic.heading: [f"`evaluation.{key}`" for key, own in topic.settings.model_fields.items() if not own.default]
+        topic.heading: [
+            f"`evaluation.{key}`" for key, field in topic.settings.model_fields.items() if not field.default
+        ]
         for topic in silent
         if there >= set(topic.reads)
     }

@@ -184,9 +184,9 @@ def unseen_view_scores(
         scores += [
             Score(metric, method, value, "m", split=condition.name, item=label, count=count) for label, value in named
         ]
-    for method, found in motions.items():
-        for yaw, other in zip(motion.yaws_deg[1:], found[1:], strict=True):
-            differs = {"two_views_differ": _mean(root_removed_error_m(found[0], other))}
+    for method, views_m in motions.items():
+        for yaw, other in zip(motion.yaws_deg[1:], views_m[1:], strict=True):
+            differs = {"two_views_differ": _mean(root_removed_error_m(views_m[0], other))}
             label = f"{item}, views {abs(yaw - motion.yaws_deg[0]):g} degrees apart"
             scores += scores_of(differs, method, "m", split=condition.name, item=label, count=count)
     return scores, Items.joined(parts)
@@ -195,7 +195,7 @@ def unseen_view_scores(
 def paper_table(scores: Sequence[Score]) -> list[TextTable]:
     """Return the figures that the paper states beside ours, and VNect's as the paper has them; none without scores."""
     shown = {(score.item, score.metric, score.method): score.value for score in scores if score.split == "clean"}
-    methods = [method for method in _COMPARED if any(method == found for _, _, found in shown)]
+    methods = [method for method in _COMPARED if any(method == scored for _, _, scored in shown)]
     rows = [
         (
             item,

@@ -279,7 +279,7 @@ def _original(motion: MotionFiles) -> CheckedMotion:
 def _as_json(value: Any) -> Any:
     """Return values as JSON has them: numbers that are not finite become null."""
     if isinstance(value, dict):
-        return {key: _as_json(one) for key, one in value.items()}
+        return {key: _as_json(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_as_json(one) for one in value]
+        return [_as_json(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -127,7 +127,7 @@ def select_pairs(store: Store, refs: tuple[ArtifactRef, ...], count: int) -> Sel
     selection = selector.selection()
     which = np.searchsorted([part.first for part in parts], selection.index, side="right") - 1
     chosen = [
-        (parts[at], parts[at].rows[one - parts[at].first]) for at, one in zip(which, selection.index, strict=True)
+        (parts[at], parts[at].rows[number - parts[at].first]) for at, number in zip(which, selection.index, strict=True)
     ]
     columns: dict[str, Any] = {}
     if chosen:
@@ -197,7 +197,7 @@ def _origins(
                 **thought,
                 "origin": _origin_of(part.manifest),
                 "reference": f"{reference_to(name, part.manifest.ref)}#{row}",
-                **dict.fromkeys(column for own in _OWN.values() for column in own),
+                **dict.fromkeys(column for columns_of_table in _OWN.values() for column in columns_of_table),
                 **{column: table[column][row] for column in table},
             }
     return {name: [origins[rank][name] for rank in range(len(chosen))] for name in origins[0]}

@@ -38,8 +38,8 @@ def unpack_artifacts(store: Store, refs: Sequence[ArtifactRef]) -> UnpackedClips
     manifests = [store.manifest(ref) for ref in refs]
     batches = {ref: store.manifest(take_of(store, ref)) for ref in refs if "variants" in store.manifest(ref).tables}
     takes = [manifest for manifest in manifests if "poses" in manifest.tables] + list(batches.values())
-    told = [[manifest.ref.content_digest, interaction_of(manifest)] for manifest in takes]
-    digest = hashlib.sha256(canonical_json([_VERSION, told, [ref.content_digest for ref in batches]])).hexdigest()
+    contents = [[manifest.ref.content_digest, interaction_of(manifest)] for manifest in takes]
+    digest = hashlib.sha256(canonical_json([_VERSION, contents, [ref.content_digest for ref in batches]])).hexdigest()
 
     def write(writer: ClipWriter) -> None:
         known: dict[ArtifactRef, tuple[dict[str, Any], Array]] = {}

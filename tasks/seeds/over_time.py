@@ -56,7 +56,7 @@ def lift_couple(
     both = [tracks[couple.person_id], tracks[couple.partner_id]]
     chosen = sorted({places[at] for at in evenly_spread(len(places), NUM_OVER_TIME)}.union(wanted_places))
     camera, frames = StatedCamera(height_m=stated.camera_height_m), np.array([place.frame for place in chosen])
-    made = lift_over_time(both, frames, database(), camera, stated.statures_m)
-    if made is None:
+    lifted = lift_over_time(both, frames, database(), camera, stated.statures_m)
+    if lifted is None:
         return {}
-    return {place: (people_m, float(error)) for place, people_m, error in zip(chosen, *made, strict=True)}
+    return {place: (people_m, float(error)) for place, people_m, error in zip(chosen, *lifted, strict=True)}

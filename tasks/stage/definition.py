@@ -30,9 +30,11 @@ def with_fields(fields: Mapping[str, Any]) -> Callable[[type[P]], type[P]]:
 
     def extended(parameters: type[P]) -> type[P]:
         new = {name: field for name, field in fields.items() if name not in parameters.model_fields}
-        made = create_model(parameters.__name__, __base__=parameters, __module__=parameters.__module__, **new)
-        made.__doc__ = parameters.__doc__
-        return made
+        extended_parameters = create_model(
+            parameters.__name__, __base__=parameters, __module__=parameters.__module__, **new
+        )
+        extended_parameters.__doc__ = parameters.__doc__
+        return extended_parameters
 
     return extended
 
@@ -151,7 +153,9 @@ class StageName(NamedTuple):
         notes: Iterable[str] = (),
     ) -> Shard:
         """Return a shard of the stage; `read` are the artifacts that it reads, by their roles."""
-        refs = {use: tuple(manifest.ref for manifest in found) for use, found in (read or {}).items() if found}
+        refs = {
+            use: tuple(manifest.ref for manifest in manifests) for use, manifests in (read or {}).items() if manifests
+        }
         return Shard(*self, partition, name, parameters, refs, tuple(files), after, inputs.seed, notes=tuple(notes))
 
 

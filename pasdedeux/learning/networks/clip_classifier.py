@@ -76,16 +76,16 @@ class ClipClassifier(nn.Module):
     def accuracy(self, clips: Mapping[str, Array]) -> float:
         """Return the share of clips whose class is found, in percent; NaN of none."""
         hits = [
-            self.labels[found] == label
+            self.labels[index] == label
             for label, some in clips.items()
-            for found in self._evaluate(some)[1].argmax(axis=1)
+            for index in self._evaluate(some)[1].argmax(axis=1)
         ]
         return 100.0 * float(np.mean(hits)) if hits else float("nan")
 
     def _evaluate(self, clips: Array) -> tuple[Array, Array]:
         parts = torch.from_numpy(_channels(clips)).split(_CLIPS_AT_ONCE)
         with torch.no_grad():
-            features, logits = (torch.cat(found) for found in zip(*map(self, parts), strict=True))
+            features, logits = (torch.cat(outputs) for outputs in zip(*map(self, parts), strict=True))
         return features.numpy().astype(np.float64), logits.numpy().astype(np.float64)
 
 
@@ -134,7 +134,7 @@ def train_classifier(
 
     def draw() -> tuple[Mapping[str, Narrow], str]:
         which = generator.integers(len(labels), size=_CLIPS_PER_STEP)
-        chosen = np.stack([clips[labels[one]][generator.integers(len(clips[labels[one]]))] for one in which])
+        chosen = np.stack([clips[labels[label]][generator.integers(len(clips[labels[label]]))] for label in which])
         if not tells_roles:
             swapped = generator.random(len(chosen)) < 0.5
             chosen[swapped] = exchange_people(chosen[swapped])

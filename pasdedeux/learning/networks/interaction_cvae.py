@@ -108,7 +108,7 @@ class InteractionCvae(WindowNetwork):
         z_b, z_a = batch["noise_b"], batch["noise_a"]
         if is_posterior:
             seen = self._seen_by_a(batch, (batch["motion_m"] - batch["template_m"])[:, :, 1])
-            z_b, z_a = (found.chunk(2, -1)[0] for found in self._encode(batch, seen))
+            z_b, z_a = (encoded.chunk(2, -1)[0] for encoded in self._encode(batch, seen))
         b = batch["moved_b"] if "moved_b" in batch else self._decode_b(batch, z_b)
         return torch.stack([self._decode_a(batch, z_a, self._seen_by_a(batch, b), b), b], 2)
 
@@ -162,10 +162,10 @@ class InteractionCvae(WindowNetwork):
     ) -> Tensor:
         """Decode z with all joints' ends, the condition and the identity of each joint."""
         template, joints = batch["template_m"], self.skeleton.num_joints
-        own = torch.cat([self._ends(template)[:, person], seen], -1)
-        everybody = torch.cat([z, known(own.flatten(1))], -1)[:, None].expand(-1, joints, -1)
+        ends = torch.cat([self._ends(template)[:, person], seen], -1)
+        everybody = torch.cat([z, known(ends.flatten(1))], -1)[:, None].expand(-1, joints, -1)
         which = torch.eye(joints, device=z.device).expand(len(z), -1, -1)
-        given = torch.cat([everybody, which, own], -1)
+        given = torch.cat([everybody, which, ends], -1)
         if moved_b is not None:
             return _UNIT_M * decoder(given, template.shape[1], self._each(template, person, moved_b))
         decoded = _UNIT_M * decoder(given, template.shape[1])

@@ -204,9 +204,9 @@ def _curvature(
                     flat = _NUM_CARRIED[joint] * coupling[t, s]
                     deep = flat
                     if s == t:
-                        own = firmness[t] if above == joint and joint != _ROOT else 0.0
-                        flat += carried[t, joint] + own
-                        deep += _NUM_CARRIED[joint] * DEPTH_HOLD + own
+                        hold = firmness[t] if above == joint and joint != _ROOT else 0.0
+                        flat += carried[t, joint] + hold
+                        deep += _NUM_CARRIED[joint] * DEPTH_HOLD + hold
                     for i in range(size):
                         for j in range(other):
                             rows[joint, size * t + i, start + other * s + j] = (

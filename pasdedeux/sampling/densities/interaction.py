@@ -65,7 +65,8 @@ class InteractionLikelihood(Likelihood):
         # Tables of the estimate, a candidate per lane: (view, joint, candidate).
         met = points[slots]
         squares = [
-            [((form @ own) * own).sum(axis=(1, 2)) for form in forms] for forms, own in zip(springs, met, strict=True)
+            [((form @ candidates) * candidates).sum(axis=(1, 2)) for form in forms]
+            for forms, candidates in zip(springs, met, strict=True)
         ]
         unit = np.float32(max(float(np.abs(points).max()), 1e-6) / np.iinfo(np.int16).max)
         lanes = np.rint(np.moveaxis(met, (1, 2), (2, 1)) / unit).astype(np.int16)

@@ -106,12 +106,12 @@ def estimate_dissimilarities(points, bank, x, y, turn, estimate, least, first): 
         _pull(bank.springs[view], image, pulls, constants)
         image *= unit
         pulls *= unit
-        x16, y16, squares, own = rank_x[view], rank_y[view], rank_squares[view], estimate[view]
-        _estimate(image, pulls, constants, x16, y16, squares, factors[view], count, work, turn[view], own)
+        x16, y16, squares, estimates = rank_x[view], rank_y[view], rank_squares[view], estimate[view]
+        _estimate(image, pulls, constants, x16, y16, squares, factors[view], count, work, turn[view], estimates)
         if bank.has_partial:
-            _leave_unseen(x[view], y[view], bank, view, work, turn[view], own)
-        at = np.argmin(own[:count])
-        least[view], first[view] = own[at], at
+            _leave_unseen(x[view], y[view], bank, view, work, turn[view], estimates)
+        at = np.argmin(estimates[:count])
+        least[view], first[view] = estimates[at], at
 
 
 @inner_kernel()

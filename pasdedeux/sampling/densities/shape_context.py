@@ -35,8 +35,8 @@ class ShapeContextLikelihood(AlignedLikelihood):
         self._squares = (self._lanes**2).sum(axis=(1, 2))
         self._histograms = np.zeros((*self._points.shape[:2], NUM_PLANE_BINS), dtype=np.uint8)
         self._gains = shared_gains(num_points - 1)
-        for own, points in zip(self._histograms, self._points, strict=True):
-            np.add.at(own, (np.arange(num_points)[:, None], plane_bins(points)), 1)
+        for histogram, points in zip(self._histograms, self._points, strict=True):
+            np.add.at(histogram, (np.arange(num_points)[:, None], plane_bins(points)), 1)
 
     def dissimilarity(self, image_m: Array, annotations_m: Array) -> Array:
         """Return the shape-context cost of an image (n, 2) and the most similar annotations of (k, n, 2), (k,)."""
@@ -93,7 +93,7 @@ def lower_shape(  # type: ignore[no-untyped-def]
                 along, across = x * px[c] + y * py[c], x * py[c] - y * px[c]
                 residual[c] -= 2.0 * (cosine[view, c] * along + sine[view, c] * across)
         ranked[view, :count] = np.argsort(residual[:count], kind="mergesort")
-    own = np.zeros(histograms.shape[2], dtype=np.int64)
+    in_bin = np.zeros(histograms.shape[2], dtype=np.int64)
     overall = limit
     # The first of every view, then the second of every view: good candidates come early and exclude others.
     for rank in range(min(num_ranked, most)):
@@ -107,13 +107,13 @@ def lower_shape(  # type: ignore[no-untyped-def]
             cost = 0.0
             for i in range(num_points):
                 cost += 1.0
-                own[:] = 0
+                in_bin[:] = 0
                 for j in range(num_points - 1):
                     angle = turns[view, i, j] + turn
                     angle += np.float64(angle < 0.0) - np.float64(angle >= 1.0)
                     at = shells[view, i, j] + min(int(angle * NUM_SECTORS), NUM_SECTORS - 1)
-                    cost -= gains[own[at], histograms[slot, i, at]]
-                    own[at] += 1
+                    cost -= gains[in_bin[at], histograms[slot, i, at]]
+                    in_bin[at] += 1
                 if cost > bound:
                     break
             if cost <= bound:

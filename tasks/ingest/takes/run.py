@@ -62,18 +62,18 @@ class _CapturedPerson:
 def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> ArtifactRef:
     """Make a built-in duet and commit its poses."""
     duet, layout = parameters.duet, LAYOUTS["body22"]
-    made = make_duet(duet.name, **duet.settings)
+    built = make_duet(duet.name, **duet.settings)
     options = json.dumps(duet.model_dump(mode="json", exclude={"id"}), sort_keys=True)
     source = PersonParameters(
         source_name=duet.name,
         motion_sha256=hashlib.sha256(options.encode()).hexdigest(),
         format="duet",
         layout=layout.name,
-        rate_hz=made.motions[0].rate_hz,
+        rate_hz=built.motions[0].rate_hz,
     )
-    people = [_CapturedPerson(motion, motion.resample(parameters.rate_hz), layout, source) for motion in made.motions]
+    people = [_CapturedPerson(motion, motion.resample(parameters.rate_hz), layout, source) for motion in built.motions]
     frames = people[0].motion.num_frames
-    known = (contact.within(0, frames) for contact in made.known_contacts(parameters.rate_hz))
+    known = (contact.within(0, frames) for contact in built.known_contacts(parameters.rate_hz))
     contacts = [contact.model_dump() for contact in known if contact is not None]
     return _commit(shard, store, parameters, people, "keep", Verdict(Level.PASS), contacts)
 

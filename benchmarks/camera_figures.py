@@ -73,7 +73,7 @@ def errors_m(film: Film, truth_m: np.ndarray, moves: np.ndarray, database: Searc
     seen = annotate_shot(given, iter(film.images), 0, len(film.px), is_key=True).frames
     tracks = tracks_of(track_columns(resolve_people(seen)), "film")
     people = reconstruct_sequence(subtract_motion(tracks, seen.camera_motion.get("film"))[0], database).people
-    # What is found is in the axes of the camera of the steady image.
+    # Results are in the axes of the camera of the steady image.
     first = film.cameras[0].camera_from_world_rotmat
     turns = [moved(replace(film.cameras[0], camera_from_world_rotmat=np.eye(3)), *move) for move in moves]
     rotmat = moved(

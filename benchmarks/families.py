@@ -364,9 +364,9 @@ INTERVAL = (0.1, 0.9)
 
 
 def parts(evidence: Array, true: Array, families: Any) -> Array:
-    """Return the interval of the error of another family as parts (2,) of what is expected.
+    """Return the interval of the error of another family as parts (2,) of the expected error.
 
-    Each family is judged by the others.  What is left of the logarithms scatters within families and between them; of
+    Each family is judged by the others.  The residuals of the logarithms scatter within families and between them; of
     the next family it is Student's t of as many degrees of freedom as there are families less one.
     """
     names = np.unique(families)

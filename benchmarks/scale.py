@@ -37,7 +37,7 @@ def grown(
     """Measure work at several sizes, smallest first; that of the smallest is done once before, which may compile.
 
     Args:
-        name: What was measured.
+        name: Name of the measurement.
         unit: What its size counts.
         sizes: Sizes, rising.
         prepare: Returns the work at a size.
@@ -68,7 +68,7 @@ def growth(
 ) -> BenchmarkResult:
     """Return the cost of the work at several sizes, and the exponents; arguments as for `grown`, megabytes by name.
 
-    A megabyte is added to each before the exponent is fitted: what is nothing beside the process does not grow.
+    A megabyte is added to each before the exponent is fitted, so that small amounts beside the process do not grow.
     """
     shown = (
         f"{size:,}: {spent_s[at]:.2g} s"

@@ -20,7 +20,7 @@ from typing import Any
 
 
 def locked(report: dict[str, Any]) -> list[str]:
-    """Return the lines of a list of hashes, by pip's report of what it would install; the program itself has none."""
+    """Return the lines of a list of hashes, by pip's report of the packages to install; the program itself has none."""
     lines = []
     for item in report["install"]:
         archive = item["download_info"].get("archive_info")

@@ -271,7 +271,7 @@ class Build:
         work.ended.set()
 
     def _raise_failures(self) -> None:
-        """Raise one error for all failures, stage by stage, and note what was skipped because of them."""
+        """Raise one error for all failures, stage by stage, and note the work skipped because of them."""
         errors = {name: error for name, work in self._work.items() if (error := work.error) is not None}
         behind = [end.shard for work in self._work.values() for end in work.failed if end.is_behind]
         not_run = [name for name, work in self._work.items() if work.is_skipped]

@@ -139,7 +139,7 @@ def _add_stage(
 
 
 def estimate_cost(work: Work, num_workers: int) -> Cost:
-    """Estimate the work on this many workers, as fast as those measured, by simulating it shard by shard."""
+    """Estimate the work on this many workers of the measured speed, by simulating it shard by shard."""
     jobs, left = work.jobs, [len(job.after) for job in work.jobs]
     followers: list[list[int]] = [[] for _ in jobs]
     for number, job in enumerate(jobs):

@@ -28,7 +28,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, start_task: Sta
         folder: Folder of the run's record, from `begin`.
         plan: The plan made beforehand.
         pool: Computes shards.
-        start_task: Starts the task of a stage, which shows what is done.
+        start_task: Starts the task of a stage, which shows its progress.
 
     Raises:
         ShardError, InputError: Shards or stages failed; those that do not need them are up to date.

@@ -62,7 +62,7 @@ def _group_limits(controller: str, *names: str) -> Iterator[list[int]]:
 
 
 def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = False) -> int:
-    """Return the number of workers asked for, else one per usable core as far as the memory reaches.
+    """Return the requested number of workers, else one per usable core, limited by memory.
 
     Raises:
         InputError: More workers than usable cores are requested, without `oversubscribe`.

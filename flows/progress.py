@@ -129,7 +129,7 @@ class Tally:
         return [count for (name, _), count in list(self._partitions.items()) if name == stage]
 
     def progress(self, waiting: Iterable[StagePlan], num_workers: int) -> Progress:
-        """Return the progress of the run; unplanned stages count as large as last time."""
+        """Return the progress of the run; unplanned stages have their size of the last run."""
         num_left = dict(self._num_left)
         for plan in waiting:
             name, had = plan.stage.name, sum(count for _, count in plan.last_partitions)
@@ -147,7 +147,7 @@ class Tally:
         )
 
     def _running(self, num_workers: int) -> tuple[Shard, ...]:
-        """Return the running shards: as many as workers, those of the highest priority that wait for nothing."""
+        """Return the running shards: for each worker, the shard of the highest priority that waits for nothing."""
         levels = (self._by_priority[priority].values() for priority in sorted(self._by_priority, reverse=True))
         ready = (
             shard for shard in chain.from_iterable(levels) if not any(key in self._priority for key in shard.after)

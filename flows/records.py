@@ -43,7 +43,7 @@ _RUNNING = re.compile(rb'"status": *("running")')
 def read_last_run(store: Store, study: str) -> LatestRun | None:
     """Return the last run of a study; None if there was none or its record cannot be read.
 
-    The record is only used for explanations, because keys decide what is fresh. A damaged record, or one of an older
+    The record only serves explanations; keys decide which artifacts are fresh. A damaged record, or one of an older
     schema, therefore causes no work.
     """
     try:

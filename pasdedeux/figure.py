@@ -73,7 +73,7 @@ class Figure:
 def figure(meaning: str = "", limits: tuple[float, float] | None = None, **more: str) -> Any:
     """Declare a field of a dataclass as a `Figure`, optionally with `better`, `words` and `complaint`.
 
-    The unit comes from the field's name, as do the words by default; by default, limits give what is better.
+    The unit comes from the field's name, and so do the words by default.  By default, limits give the better direction.
     """
     given = {"meaning": meaning, "limits": limits, **more}
     return field(metadata={name: value for name, value in given.items() if value})

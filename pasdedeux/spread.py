@@ -14,7 +14,7 @@ T = TypeVar("T")
 def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArray[np.int64]:
     """Return at most `count` indices below `total`, evenly spread and rising; two or more include the first and last.
 
-    Returns all indices if there are no more than `count`. Without ends, the outer gaps are as wide as the others.
+    Returns all indices if there are no more than `count`. Without ends, all gaps have one width.
 
     >>> evenly_spread(10, 4).tolist()
     [0, 3, 6, 9]

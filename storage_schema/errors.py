@@ -36,7 +36,7 @@ class NamedByDataset(StorageError):
 
 
 class SchemaError(StorageError):
-    """Values do not fit their table; the message names the column and what is allowed."""
+    """Values do not fit their table; the message names the column and the allowed values."""
 
 
 class NewerSchema(_InputError):
@@ -58,7 +58,7 @@ class FullDisk(StorageError):
 
 
 class UnknownReference(_InputError):
-    """A reference names nothing, or more than one thing; the message lists what is there."""
+    """A reference names nothing, or more than one thing; the message lists the known names."""
 
 
 class BadName(_InputError):

@@ -1,6 +1,6 @@
 """The lease of a store in a bucket, which allows one build at a time: a file that its holder renews.
 
-A lease is renewed as long as its holder is alive. No clocks are compared: a process takes the lease if it has watched
+A lease is renewed while its holder is alive. No clocks are compared: a process takes the lease if it has watched
 it unchanged for `LEASE_S`, or if its holder was of this machine and is dead, and only if the lease is still as it was
 read.
 """

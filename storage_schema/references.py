@@ -71,7 +71,7 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
     """Return the artifacts that a reference names, in order.
 
     Raises:
-        UnknownReference: It names nothing, or a key prefix names several artifacts; lists what is there.
+        UnknownReference: It names nothing, or a key prefix names several artifacts; lists the known names.
         MissingArtifact: A recorded artifact of the stage that writes the table is no longer complete in the store.
     """
     if isinstance(reference, str):

@@ -158,7 +158,7 @@ def _outdated(store: Store, dataset: Dataset, needed: Sequence[LineageStep]) -> 
 
 
 def _check_records(store: Store) -> Iterator[Problem]:
-    """Check the records of runs, which explain what was done and why something is stale; no result depends on them."""
+    """Check the records of runs, which explain finished work and stale artifacts; no result depends on them."""
     for path in sorted((store.root / "runs").glob("*/*.json")):
         try:
             values = json.loads(path.read_bytes())

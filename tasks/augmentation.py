@@ -117,7 +117,7 @@ def variations(parameters: AugmentationParameters, num_people: int) -> dict[str,
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse two sweeps of one variant, and contacts of a take that the study does not have as far as `ingest` tells.
+    """Refuse two sweeps of one variant, and contacts of a take that the `ingest` section does not have.
 
     Raises:
         InputError: Names the variant, or the take.

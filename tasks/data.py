@@ -205,7 +205,7 @@ class Data:
         curation: File of choices; those of the study or dataset where none is given.
 
     Raises:
-        UnknownReference: The requested table is not there; the message lists what is.
+        UnknownReference: The requested table does not exist; the message lists the existing ones.
         InputError: The file of choices is not there, or holds something else.
     """
 

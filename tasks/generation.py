@@ -119,7 +119,7 @@ def check_study(sections: Mapping[str, Any]) -> None:
     """Refuse a model that the study does not train or that lacks a requested ability, and invalid key frames.
 
     Raises:
-        InputError: Names the key and what is allowed.
+        InputError: Names the key and the allowed values.
     """
     first: GenerationParameters = sections["generation"]
     for section in (first, *first.swept().values()):

@@ -238,7 +238,7 @@ def read_clusters(store: Store, ref: ArtifactRef) -> Clusters:
 
 
 def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int = MAX_PAIRS) -> np.ndarray:
-    """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; people who were alone are skipped.
+    """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; single people are skipped.
 
     Heading and place are applied again, so that the people of a frame have their relative places.  If there
     are more than `max_pairs`, they are chosen evenly.

@@ -136,7 +136,7 @@ def _verdicts(manifest: Manifest) -> dict[str, Verdict]:
 
 
 def _by_stage(manifests: Sequence[Manifest]) -> dict[str, Verdict]:
-    """Return one verdict for each stage, those that others read first; what is evaluated is judged one by one."""
+    """Return one verdict for each stage, in the order of the graph; topics are judged one by one."""
     judged = judge(manifests)
     parts: dict[str, list[Manifest]] = {product.stage: [] for product in judged if product.stage != _APART}
     for manifest in manifests:

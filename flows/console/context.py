@@ -134,7 +134,7 @@ def echo(text: str, *, err: bool = False) -> None:
 
 @contextmanager
 def busy(words: str) -> Iterator[None]:
-    """Print on standard error what is being done, and for how long, after 2 s, 4 s, 8 s and so on."""
+    """Print the work in progress and its duration on standard error, after 2 s, 4 s, 8 s and so on."""
     ended, started = threading.Event(), time.monotonic()
 
     def tell() -> None:

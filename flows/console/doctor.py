@@ -22,7 +22,7 @@ _MIN_DISK_BYTES = GIB
 
 
 class _BadError(Exception):
-    """A check failed; the message says what was found."""
+    """A check failed; the message states the finding."""
 
 
 @app.command()

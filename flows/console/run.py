@@ -182,7 +182,7 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
 
 
 def build(run: Run, cluster: ClusterSettings, *, is_quiet: bool) -> tuple[Outcome, Plan]:
-    """Bring a study up to date, and return what was done and the plan. Nothing is removed from the store meanwhile."""
+    """Bring a study up to date, and return outcome and plan. Nothing is removed from the store meanwhile."""
     with in_use(run.store):
         work = make_plan(run.study, run.graph, run.store, run.selection)
         if work.is_fresh:

@@ -57,7 +57,7 @@ class Contents:
         manifests: All shared artifacts, with ancestors, by their place in their stage; without times.
         groups: Their rows.
         sides: The side of each take.
-        left_out: Sentences on what is left out.
+        left_out: Sentences on omitted data.
     """
 
     dataset: Dataset

@@ -70,7 +70,7 @@ class DataFile:
 
 @dataclass(frozen=True)
 class Written:
-    """A written folder: its manifest, the names of new files, and sentences on what was left out."""
+    """A written folder: its manifest, the names of new files, and sentences on omitted data."""
 
     manifest: FolderManifest
     new: tuple[str, ...]

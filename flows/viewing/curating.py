@@ -1,4 +1,4 @@
-"""Accepts and rejects what is shown: whole items, single frames and clips; with its folder of the panel."""
+"""Accepts and rejects whole items, single frames and clips; with its folder of the panel."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def find_film(manifest: Manifest, ingest: Mapping[str, Any]) -> FilmReader | Non
 
 
 def find_shot(manifest: Manifest, ingest: Mapping[str, Any]) -> CorrectedShot:
-    """Return the tracked shot of film of an artifact of 2D poses; this takes as long as the first time.
+    """Track the shot of film of an artifact of 2D poses again, and return it.
 
     Raises:
         InputError: One of its files is missing or has changed.
@@ -96,7 +96,7 @@ class FilmReader:
     """Images of a film by frame number; the last ones are kept, small and compressed.
 
     Args:
-        find: Finds the film, or its images in order; may take as long as reading all of it.
+        find: Finds the film, or its images in order; may read all of it.
         first_number: Number of its first image.
         first_frame: First frame of the shot, counted from the beginning of the film.
         after_s: Time stamp of the frame before, for seeking; None: decode from the beginning.

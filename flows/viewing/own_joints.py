@@ -94,14 +94,14 @@ def _read(path: Path, number: int, *, is_all: bool) -> tuple[bool, list[OwnJoint
 
 
 def _unit_m(source: SourceMotion) -> float:
-    """Return the length of a file's unit; if unknown, the one that makes the figure as tall as an adult."""
+    """Return the length of a file's unit; if unknown, the unit that gives the figure the height of an adult."""
     guess = guess_unit(source)
     is_told = guess.confidence >= MIN_UNIT_CONFIDENCE or not guess.height_m
     return guess.metres_per_unit * (1.0 if is_told else USUAL_HEIGHT_M / guess.height_m)
 
 
 def _scene(people: Sequence[OwnJoints], units_m: Sequence[float | None], *, why: str) -> Scene:
-    """Return the scene of all people at the lowest rate, as long as the shortest motion."""
+    """Return the scene of all people, at the lowest rate, cut to the shortest motion."""
     sources, num = [person.source for person in people], len(people)
     axes = resolve_up_axes(sources, [None] * num, ["auto"] * num, [True] * num)
     rate_hz = min(person.rate_hz or _RATE_HZ for person in people)

@@ -180,7 +180,7 @@ def open_shelf(store: Store, word: str | None) -> Shelf:
     Raises:
         InputError: There is nothing to show.
         PlanError: A run has not finished.
-        UnknownReference: The word names nothing; lists what is there.
+        UnknownReference: The word names nothing; lists the known names.
     """
     if word is None:
         runs = [(last.run_id, name) for name in latest_studies(store) if (last := read_latest(store, name))]

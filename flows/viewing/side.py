@@ -57,7 +57,7 @@ class PicturePanel:
 
     @classmethod
     def of(cls, flat: Flat, largest: tuple[int, int]) -> PicturePanel:
-        """Return the panel of 2D poses, as large as fits below a title."""
+        """Return the largest panel of 2D poses that fits below a title."""
         scale = min(largest[0] / flat.size_px[0], (largest[1] - _TITLE_PX) / flat.size_px[1])
         size = scale * np.array(flat.size_px)
         return cls(np.array([(largest[0] - size[0]) / 2, _TITLE_PX]), size, scale)
@@ -133,7 +133,7 @@ def joint_at(flat: Flat, panel: PicturePanel, placed: Array, reach: float) -> tu
 
 
 def picture_size(flats: Sequence[Flat]) -> tuple[int, int]:
-    """Return width and height of the first panel of a picture; alone, or over film, it is as high as its image."""
+    """Return width and height of the first panel of a picture; alone, or over film, it has the height of its image."""
     is_over_film = bool(flats) and flats[0].image is not None
     if len(flats) != 1 and not is_over_film:
         return _SMALL_SIZE

@@ -159,7 +159,7 @@ class Viewer:
             self.seek(0 if row is None else int(scene.frame_of_row[row]))
 
     def _beside(self) -> dict[str, Scene]:
-        """Return the next items of the list by their labels, as many as to be shown beside this one."""
+        """Return the items to show beside this one, by label: those that follow it in the list."""
         wanted = [self.listing.after(self.index, by) for by in range(1, int(self.shown.beside.value))]
         others = [at for at in dict.fromkeys(wanted) if at is not None and at != self.index]
         return {self.listing.label(at): self._read(self.part, at) for at in others}

@@ -1,7 +1,7 @@
 """The bulk solver: ADMM on positions, one factor for all variants of a take, batched over variants.
 
 The splitting z_e = p_child - p_parent puts the exact bone length (and the girdle's rigidity) on z, where it is a
-projection onto a sphere; what is left for p is the quadratic energy, whose matrix never changes.
+projection onto a sphere; for p the quadratic energy remains, whose matrix never changes.
 
 The error that remains after a few iterations is smooth in time and needs hundreds more to vanish.  So most of the work
 is done at 10 frames a second (`coarse`), where an iteration costs little, with Anderson acceleration (Anderson 1965;
@@ -422,7 +422,7 @@ def _edges(num_people: int) -> tuple[Integers, int]:
 
 
 def _edge_penalties(problem: MeshProblem, edges: Integers) -> Array:
-    """Return the penalty of each edge (T, edge): as stiff as the terms at its ends, or the iteration oscillates."""
+    """Return the penalty of each edge (T, edge): the stiffness of the terms at its ends; else iterations oscillate."""
     contact = np.zeros((problem.num_frames, problem.source.num_points))
     at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), at_ends)

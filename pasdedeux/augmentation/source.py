@@ -104,7 +104,7 @@ class Source:
 
     @cached_property
     def floor_m(self) -> float:
-        """Height of standing toe joints, metres: one floor for everybody; a person who is carried stands on nothing."""
+        """Height of standing toe joints, metres: one floor for everybody; carried people stand on nothing."""
         if self.ground_m is not None:
             return self.ground_m
         toes = self.positions_m[:, :, self.skeleton.indices(["left_toe", "right_toe"])]
@@ -134,7 +134,7 @@ class Source:
 
     @cached_property
     def radii_m(self) -> Array:
-        """Radius of each person's bones (P, 22), named by their child joints, metres; a root is as thick as a waist."""
+        """Radius of each person's bones (P, 22), named by child joints, metres; a root has the radius of a waist."""
         skeleton = self.skeleton
         radii = body_height_m(skeleton, self.lengths_m)[:, None] * radius_per_height(skeleton)
         if skeleton == BODY22:

@@ -1,6 +1,6 @@
 """Support by the floor: standing or lying on feet, hands, knees or back; weights fade, nothing switches.
 
-There is one floor a take.  A joint far above it in the source has no weight, so a person who is held up is carried by
+There is one floor a take.  A joint far above it in the source has no weight, so a lifted person is carried by
 contacts alone.
 """
 

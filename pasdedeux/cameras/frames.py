@@ -127,7 +127,7 @@ def project_pair(pair17_m: Array, direction: Array) -> Array:
             pair under m views is `project_pair(pair, views)` with shapes (2, 17, 3) and (m, 3).
 
     Returns:
-        Image points (*batch, person=2, joint=17, 2), metres, x right, y up: j points up in the image as far as it can,
+        Image points (*batch, person=2, joint=17, 2), metres, x right, y up: j points up in the image where possible,
         and the middle of the two roots is at (0, 0).  The same pair moved rigidly gives the same image.
     """
     frame = pair_frame(pair17_m)

@@ -158,7 +158,7 @@ def annotate_pixels(rng: np.random.Generator, px: Array, *, noise_px: float = 0.
 def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_px: tuple[int, int]) -> Annotated:
     """Move `count` joints of each person in every frame anywhere in the image, with a confidence below 0.2.
 
-    Detectors do so with joints that they do not find.  People who are not seen at all stay so.
+    Detectors do so with joints that they do not find.  Unseen people stay unseen.
     """
     chosen = np.argsort(rng.random(seen.confidence.shape), axis=-1) < count
     chosen &= (seen.confidence > 0).any(axis=-1, keepdims=True)

@@ -70,7 +70,7 @@ def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> 
 
 
 def duet_style(name: str, **style: object) -> Dance:
-    """Return the style of a built-in duet, with defaults for what is not stated."""
+    """Return the style of a built-in duet, with defaults for missing settings."""
     if name not in DUETS:
         near = get_close_matches(name, DUETS, n=1)
         hint = f", did you mean '{near[0]}'?" if near else ""

@@ -59,7 +59,7 @@ def kernel_interval(
     """
     if min(len(set(one_units)), len(set(other_units))) < FEWEST_UNITS:
         return float("nan"), float("nan")
-    # Terms within the other set do not depend on what is left out, so they are no part of the variance.
+    # Terms within the other set do not depend on the omitted unit, so they are no part of the variance.
     variance = _jackknife_variance(one, other, one_units) + _jackknife_variance(other, one, other_units)
     middle, reach = kernel_distance(one, other), _NORMAL_95 * float(np.sqrt(variance))
     return middle - reach, middle + reach

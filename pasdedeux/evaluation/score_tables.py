@@ -78,7 +78,7 @@ def pivot_table(
     Args:
         scores: The scores, in the order of their rows.
         caption: Caption of the table.
-        headings: Headings of what `row` returns.
+        headings: Headings of the names that `row` returns.
         row: Names of the row that a score stands in.
         columns: Headings by column, in order; scores of other columns make no row.
         column: The column that a score stands in.

@@ -132,7 +132,7 @@ class Product:
 
 @dataclass(frozen=True)
 class Summary:
-    """The answers: what was built, from what, a verdict for each stage and topic by name, and what was skipped."""
+    """The products, their sources, a verdict for each stage and topic by name, and all skipped work."""
 
     made: Sequence[Made]
     sources: Sequence[Credit]
@@ -200,7 +200,7 @@ class Summary:
         return _worst_first(first), _worst_first(others)
 
     def headlines(self) -> list[str]:
-        """Return the last lines of a run: what was built, advice, each product, and each verdict that fails."""
+        """Return the last lines of a run: sources, advice, each product, and each failed verdict."""
         failed = {
             name: verdict for name, verdict in self.verdicts.items() if verdict.level is Level.FAIL or not self.products
         }

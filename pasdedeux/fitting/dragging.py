@@ -1,4 +1,4 @@
-"""Pull a joint of a person to a place: the body follows as little as possible and keeps its bone lengths."""
+"""Pull a joint of a person to a place: the body moves the least and keeps its bone lengths."""
 
 from __future__ import annotations
 

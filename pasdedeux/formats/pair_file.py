@@ -1,6 +1,6 @@
 """One 3D pair as a file that a person can edit: JSON with named joints, or BVH with one frame per person.
 
-JSON keeps all digits: `read_pair_json` returns exactly what was written.  BVH keeps positions to 1e-6 m.
+JSON keeps all digits: `read_pair_json` returns the exact values.  BVH keeps positions to 1e-6 m.
 """
 
 from __future__ import annotations

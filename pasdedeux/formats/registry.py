@@ -132,7 +132,7 @@ def read_annotations(
 def clean_annotations(
     frames: AnnotatedFrames, *, stated: Footage = UNKNOWN, video: Footage = UNKNOWN, min_confidence: float | None = 0.0
 ) -> AnnotatedFrames:
-    """Convert 2D poses to pixels, add what is known of the footage, and remove doubtful keypoints.
+    """Convert 2D poses to pixels, add properties of the footage, and remove doubtful keypoints.
 
     Raises:
         InputError: They do not look like people, or lie in an image of unknown or another size.
@@ -147,7 +147,7 @@ def clean_annotations(
 
 
 def _with_footage(frames: AnnotatedFrames, stated: Footage, video: Footage) -> AnnotatedFrames:
-    """Return annotations with rate, image size and focal length as far as they are known."""
+    """Return annotations with rate, image size and focal length where known."""
     sizes, focals = dict(frames.image_size_px), dict(frames.focal_px)
     for name in set(frames.sequence_id):
         size = stated.image_size_px or sizes.get(name) or video.image_size_px

@@ -1,7 +1,7 @@
 """Standing feet: one floor under all people, and the feet that stand on it.
 
 A foot stands if it is slow, no higher than the other foot, and near the floor.  The floor is that of the lowest feet of
-*all* people about that time, so a person who is held up in the air stands on nothing, however still the feet hang.
+*all* people about that time, so a person held up in the air stands on nothing, however still the feet hang.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def delaunay_edges(points: Array) -> Edges:
     except QhullError:
         # Flat even after the jitter, by Qhull's own tolerance: let Qhull joggle (its QJ option is deterministic).
         simplices = Delaunay(points + _jitter(num_points, dimension), qhull_options="QJ Qbb Qc").simplices
-    # Flags, because sorting pairs of points would take as long as Qhull.
+    # Flags, because sorting pairs of points would take the time of Qhull again.
     return np.stack(np.nonzero(simplex_neighbours(simplices, num_points) & _is_above(num_points)), axis=1).astype(
         np.int32
     )

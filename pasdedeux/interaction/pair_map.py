@@ -18,7 +18,7 @@ from pasdedeux.interaction.nearest import PairTable, image_distances, interactio
 
 @dataclass(frozen=True)
 class PairMap:
-    """A plane map of real pairs or images that preserves the distances D_I as well as possible.
+    """A plane map of real pairs or images that best preserves the distances D_I.
 
     Args:
         landmarks_m: The real pairs, prepared, or images, (n, person=2, joint, 2), metres.

@@ -95,7 +95,7 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
             first, other = pairs[row, 0], pairs[row, 1]
             a, b = row_of(points[at], parents[first]), row_of(points[at], parents[other])
             u, v, g = subtract(row_of(points[at], first), a), subtract(row_of(points[at], other), b), subtract(a, b)
-            # Parallel bones: the middle is as good as any place, and does not jump.
+            # Parallel bones: all places are equally near, and the middle does not jump.
             s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, g), dot(v, g), 0.5)
             apart = (g[0] + s * u[0] - t * v[0], g[1] + s * u[1] - t * v[1], g[2] + s * u[2] - t * v[2])
             share[at, row, 0], share[at, row, 1] = s, t

@@ -129,7 +129,7 @@ def refine(
         parts: Windows of the take and their problems, see `window_problems`.
         start_m: A motion of both (T, 2, 22, 3), metres, with any bones.
         num_iterations: Steps, whether accepted or refused.
-        key_frames: Poses that B is held at, as far as its bones allow.
+        key_frames: Poses that B is held at, within the limits of its bones.
     """
     source = request.source
     scales = complete_scales(source, request.bone_scale[None])

@@ -37,7 +37,7 @@ class VariantRequest:
         source: The take's own motion, T frames.
         bone_scale: Scale of each bone (2, 22), the root's being the root height's; J for the 22 of another skeleton.
         solving: How variants of the take are solved, for models that use the solver.
-        contacts: Contacts stated for the take, in place of what is found.
+        contacts: Contacts stated for the take, which replace the detected ones.
 
     Raises:
         InputError: A take of other than two people, scales of the wrong shape, or not positive.
@@ -97,7 +97,7 @@ _MIN_ACTIVITY = 1.0
 
 @dataclass(frozen=True)
 class LogEntry:
-    """One figure of training: step (0 for closed-form models), what was measured, its value."""
+    """One figure of training: step (0 for closed-form models), measured quantity, value."""
 
     step: int
     quantity: str

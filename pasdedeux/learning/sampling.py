@@ -81,7 +81,7 @@ class VariantSampler:
         model: The trained model.
         source: The template.
         take_id: Name of the take, by which the model may know it from training.
-        contacts: Contacts stated for the take, in place of what is found.
+        contacts: Contacts stated for the take, which replace the detected ones.
         key_frames: Poses that B goes through.
 
     Raises:

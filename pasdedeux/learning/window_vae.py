@@ -282,7 +282,7 @@ class WindowVae(VariantModel):
 
 @dataclass
 class PaperCvaeModel(WindowVae):
-    """The published model, as far as it is printed; `known_scales` are mean and deviation of each bone's scale (2, J).
+    """The published model, where described; `known_scales` are mean and deviation of each bone's scale (2, J).
 
     Its scales are drawn from p(B_s).
     """
@@ -361,7 +361,7 @@ class _ClassVae(WindowVae):
         return np.eye(len(self.known_scales), dtype=np.float32)[apart.argmin(axis=1)]
 
     def draw_scale(self, generator: np.random.Generator) -> Array:
-        """Return the scales of a class, each as likely as any other."""
+        """Return the scales of a class; all are equally likely."""
         return self.known_scales[generator.integers(len(self.known_scales))].astype(np.float64)
 
 

@@ -1,7 +1,7 @@
 """Windows of takes and their variants for models of a few seconds: one body scaled, in axes of their own.
 
 A window is a stretch of a take at ten frames a second.  Its axes lie where the two are in its first frame: the origin
-on the floor between their roots, the second person along x.  The person who is scaled is the second; where it is A,
+on the floor between their roots, the second person along x.  The scaled person is the second; where it is A,
 the two change roles, and where both are scaled the displacements for one and for the other are added.
 """
 
@@ -91,7 +91,7 @@ def cut_windows(source: Source, take_id: str, person: int, length: int) -> list[
 
 
 def gather_windows(items: Items, length: int) -> list[Window]:
-    """Return the windows of all takes and of who is scaled in them, with the variants of one scaled person."""
+    """Return the windows of all takes, for each person scaled in them, with the variants of one scaled person."""
     variants: dict[tuple[str, int], tuple[Source, list[Array], list[Array]]] = {}
     for item in items():
         persons = scaled_persons(item.request)

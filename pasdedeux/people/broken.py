@@ -1,4 +1,4 @@
-"""Tracks that end where another begins: either one person who was lost for a while, or two people.
+"""Tracks that end where another begins: one person lost for a while, or two people.
 
 They are one person if the second track begins soon after the first has ended, at the same place, with the same size and
 motion, and no other track could be either of them.  Otherwise the user, who knows the video, is asked.
@@ -126,7 +126,7 @@ def _nearest(breaks: Sequence[Break]) -> list[Break]:
 
 
 def join_breaks(sequence_id: str, breaks: Sequence[Break]) -> list[Decision]:
-    """Return decisions that join the clear breaks; a person who is lost several times stays one person."""
+    """Return decisions that join the clear breaks; a person lost several times stays one person."""
     first: dict[int, int] = {}
     rows = []
     for gap in sorted((gap for gap in breaks if gap.is_clear), key=lambda gap: gap.first_frame):

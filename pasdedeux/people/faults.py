@@ -79,7 +79,7 @@ def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> 
         confidence: (person, frame, 14), 0 where not seen.
         rate_hz: Frames per second.
 
-    People who are seen over fewer than three frames are not changed.
+    People seen over fewer than three frames are not changed.
     """
     people = len(keypoints_px)
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (np.nan_to_num(confidence) > 0)

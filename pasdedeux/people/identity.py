@@ -23,7 +23,7 @@ _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
 _GATE_GROWTH_PER_S, _MAX_GATE = 0.5, 0.6
 """Growth of `GATE` while a person is not seen, and its maximum."""
 MAX_ABSENT_S = 1.5
-"""A person who was unseen for longer than this is a new one."""
+"""A person unseen for longer than this gets a new track."""
 _DUPLICATE = 0.06
 """Distance below which two detections of a frame are one person."""
 _FRAGMENT = 0.1
@@ -138,7 +138,7 @@ class Follower:
                 limit += claim[:, None]
             from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
 
-            # No match costs 0; a person who was unseen has a wider gate but no advantage.
+            # No match costs 0; an unseen person has a wider gate but no advantage.
             gated = np.where(cost <= limit, cost - 2.0 * _MAX_GATE, 0.0)
             for row, column in zip(*linear_sum_assignment(gated), strict=True):
                 if cost[row, column] <= limit[row, column]:
@@ -176,7 +176,7 @@ class Follower:
         return FollowedRows(track_id, points, seen, twins)
 
     def _join_parts(self, matched: dict[int, _Followed], time_s: float, points: Array, is_seen: Flags) -> None:
-        """End the tracks of parts of people who are seen whole in this frame."""
+        """End the tracks of parts of people that are seen whole in this frame."""
         tracked = {person.track_id for person in matched.values()}
         for index, person in matched.items():
             for other in [track for track in self._people if track.track_id not in tracked]:

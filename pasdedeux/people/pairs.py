@@ -23,9 +23,9 @@ _MIN_SCORE, _MIN_NEAR = 0.3, 0.3
 """Minimum score of a pair, which excludes passers-by; minimum share of the common frames in which two people who are
 alone in a film must be near to be a pair."""
 _COMMON_POWER = 0.25
-"""Exponent of the common share in the ranking of pairs, which prefers people who are seen for longer."""
+"""Exponent of the common share in the ranking of pairs, which prefers people seen for longer."""
 _MIN_COMMON = (0.5, 0.1)
-"""Minimum shares of the frames of a pair in which both are seen: of the person who is seen less, and of the other."""
+"""Minimum shares of the frames of a pair in which both are seen: of the person seen less, and of the other."""
 
 
 @dataclass(frozen=True)

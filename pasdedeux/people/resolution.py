@@ -54,7 +54,7 @@ class PeopleSettings(Settings):
 
 @dataclass(frozen=True)
 class SequencePeople:
-    """What was decided of one sequence.
+    """Decisions about one sequence.
 
     Args:
         sequence_id: The sequence.
@@ -109,7 +109,7 @@ class ResolvedPeople:
         source_person_id: Number of each row's person in the source (row,).
         partner_id: The partner of each row's person (row,); -1 for nobody.
         op14: Keypoints (row, 14, 2) and confidences (row, 14), repaired.
-        sequences: What was decided of each sequence, by name.
+        sequences: Decisions about each sequence, by name.
     """
 
     frames: AnnotatedFrames

@@ -41,7 +41,7 @@ def check_one_video(camera: str, names: Sequence[str]) -> None:
 def why_no_video(frame: Integers) -> str:
     """Return why frame numbers are not those of a video but of single images, numbered by ids or times; else "".
 
-    In such a sequence there may be millions of frames in gaps, without motion between the images.
+    Gaps of such a sequence may hold millions of frames, without motion between the images.
     """
     numbers = np.unique(frame)
     span = int(numbers[-1] - numbers[0]) + 1 if len(numbers) else 0

@@ -202,7 +202,7 @@ def judge_capture(people: Sequence[PersonCapture], limits: Limits, names: Sequen
 
     Args:
         people: Figures of each person.
-        limits: What is allowed.
+        limits: Allowed ranges.
         names: Names of the files of the people, if any; names of different takes give a warning.
     """
     apart = next(filter(None, (_names_apart(*both) for both in combinations(names, 2))), "")

@@ -84,7 +84,7 @@ def place_track(
 ) -> Placement:
     """Return the initial scale and place of a track, from bone lengths and mean joint positions.
 
-    The image of a bone is at most as long as the bone, and some bones of a frame show nearly their full length.  So the
+    The image of a bone is never longer than the bone, and some bones of a frame show nearly their full length.  So the
     upper quartile over bones of image length over reference length, divided by the same in the database, gives pixels
     per metre.  The running median over the track removes noise and follows people who come nearer.
 

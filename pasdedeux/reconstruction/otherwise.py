@@ -66,7 +66,7 @@ def doubt_of_camera(scene: SceneEstimate, *, is_lens_known: bool, is_height_give
 
 
 def may_lie(laid_m: Array, upright_m: Array, *, frames_per_s: float) -> bool:
-    """Tell whether a person who was matched to upright poses may lie.
+    """Return whether a person matched to upright poses may lie.
 
     Args:
         laid_m: Distances of the nearest lying poses (frame,), metres.

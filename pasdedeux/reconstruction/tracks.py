@@ -64,7 +64,7 @@ class Track:
         keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
         confidence: (frame, 14), 0 where not seen.
         rate_hz: Frames per second.
-        lens: The lens, as far as it is known.
+        lens: The lens, where known.
         person_id: Person in the sequence.
         first_frame: Frame of the sequence at which the track begins.
         first_time_s: Time of that frame.

@@ -105,7 +105,7 @@ def step(
 ) -> tuple[ChainState, StepInfo]:
     """Take one Metropolis-Hastings step (eq. 10 of Yin et al. 2018).
 
-    The acceptance threshold is drawn first, so the density may stop as soon as it falls below it. If the exact ratio of
+    The acceptance threshold is drawn first, so the density may stop once it falls below it. If the exact ratio of
     the proposal is expensive, its upper bound is tested first; the result is the same.
 
     Args:

@@ -4,8 +4,8 @@ Bone lengths come from the annotations: over many views each bone appears nearly
 none shows has its usual proportion.  The torso is lifted with the torso basis; what remains is discrete: either twin of
 each torso, towards or away from the camera for each limb bone, and the relative depth of the people.  Joint limits
 choose among the 256 poses of a person's limbs, the estimated view and penetration among twins and depths. Joints that
-are not seen are guessed in the image first: those of the torso where the lifted one has them, those of limbs by what is
-seen of the limb.  A lifted pair has an error of 8-11 cm on captured dancers; growth (`growth.grow`) then reduces it by
+are not seen are first estimated in the image: those of the torso where the lifted one has them, those of limbs by the
+seen part of the limb.  A lifted pair has an error of 8-11 cm on captured dancers; growth (`growth.grow`) then reduces it by
 comparing pairs.
 """
 
@@ -77,7 +77,7 @@ class LiftedSeeds:
     """Seeds lifted from annotations.
 
     Args:
-        pairs_m: Pairs (seed, person=2, joint=17, 3), metres, gauge-fixed; upright as far as the camera was level.
+        pairs_m: Pairs (seed, person=2, joint=17, 3), metres, gauge-fixed; upright if the camera was level.
         entry: Entry of the annotated pairs that each was lifted from, (seed,).
         log_prior: Log of eq. 2 (Yin et al. 2018), (seed,).
     """

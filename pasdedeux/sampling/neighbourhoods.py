@@ -65,7 +65,7 @@ def pairs_between(
 ) -> Filling:
     """Return up to `num` pairs between pairs (pair, person=2, joint=17, 3), metres.
 
-    Each pair is used in turn, as often as any other.  There are fewer than asked for where most means are refused, and
+    Each pair is used equally often, in turn.  There are fewer than requested where most means are refused, and
     none where there are fewer pairs than a mean is made of.
     """
     count = len(pairs_m)

@@ -1,4 +1,4 @@
-"""Columns that several tables have, described once; `with_meaning` says what is special about one in a table."""
+"""Columns that several tables have, described once; `with_meaning` states their special meaning in a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is made: variants, models and scores."""
+"""Products: variants, models and scores."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 
 def _compute(shard: Shard, store: Store) -> TopicResult[Sequence[Picture]]:
-    """Show the images drawn when a shot was read; describe the source of its keypoints and what was left out."""
+    """Show the images drawn when a shot was read; describe the source of its keypoints and the omitted data."""
     ref = shard.ref("film")
     name = store.manifest(ref).partition
     frames = read_annotation_csv(store.attachment(ref, ANNOTATIONS_NAME))

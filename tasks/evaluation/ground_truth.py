@@ -73,7 +73,7 @@ class GroundTruth:
     def pair(self, place: PairPlace) -> TruePair | None:
         """Return the pair behind an annotated pair.
 
-        None if it is unknown: not a virtual video, a take that was not read, or a person who is not in it.
+        None if it is unknown: not a virtual video, a take that was not read, or a person outside it.
         """
         take_id, frame = self.frames.get((place.sequence_id, place.frame), ("", 0))
         take = self.takes.get(take_id)

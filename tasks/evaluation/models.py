@@ -347,7 +347,7 @@ def extreme_cases(errors: Sequence[float]) -> dict[str, int]:
 def case_player(cases: Mapping[str, tuple[TrainingItem, Array]]) -> bytes:
     """Show predictions (T, 2, 22, 3), metres, beside each other, the solver's answer grey behind each.
 
-    A longer take is shown as long as the shortest of them lasts.
+    Longer takes are cut to the length of the shortest.
     """
     sources = [item.request.source for item, _ in cases.values()]
     frames, rate_hz = shown_frames(min(source.num_frames for source in sources), sources[0].rate_hz)

@@ -113,7 +113,7 @@ def _compute(shard: Shard, store: Store) -> TopicResult[ShownMotion]:
 def read_reconstructed(
     store: Store, motions: ArtifactRef, annotations: Sequence[ArtifactRef], takes: Sequence[ArtifactRef]
 ) -> tuple[list[Reconstructed], GroundTruth, FilmAlignment | None]:
-    """Return the people of a sequence who are in its take, the ground truth, and for film its alignment with the take.
+    """Return the people of a sequence that its take contains, the ground truth, and a film's alignment with the take.
 
     Raises:
         InputError: A film does not show what its take is said to be.

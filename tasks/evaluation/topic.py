@@ -30,7 +30,7 @@ class TopicResult(Generic[D]):
 
     Args:
         scores: The figures.
-        notes: Sentences for the reader: what was measured, what was skipped and why.
+        notes: Sentences for the reader: the measurement, skipped data and the reasons.
         items: Items to judge by the name of a criterion; nothing was learned from them.
         baselines: Methods that others are compared with, in scores and items.
         shown: Input of the pictures; None where there are none.

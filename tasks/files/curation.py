@@ -53,7 +53,7 @@ POSITIONS: Mapping[str, str] = {
     **dict.fromkeys(("lifted_pairs", "draws", "seeds", "in_betweens"), "pair17_m"),
     "annotations": "pair17_px",
 }
-"""The column with the content of such an item."""
+"""The column with the content of an item of these tables."""
 CLIPPED = ("motions",)
 """Tables whose clips can be chosen, too."""
 SECTION = "curation"

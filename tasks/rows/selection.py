@@ -40,7 +40,7 @@ class SelectedPairs:
         num_repaired: Repaired pairs.
         num_plausible: How many of them all are plausible.
         num_independent: Effective sample size of all chains, and number of grown, filled and repaired pairs that
-            differ, both of what is plausible.
+            differ, both among plausible pairs.
         radius_m: D_C below which two pairs counted as one, metres.
     """
 

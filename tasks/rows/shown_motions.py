@@ -40,7 +40,7 @@ def read_motion_rows(store: Store, motions: ArtifactRef) -> TableData:
 
 
 def read_shown_motion(store: Store, motions: ArtifactRef, left_out: Collection[str] = ()) -> ShownMotion | None:
-    """Return the product of a sequence without what is left out (`tasks.files.curation`); None if nothing remains."""
+    """Return the product of a sequence without rejected parts (`tasks.files.curation`); None if nothing remains."""
     table = without(read_motion_rows(store, motions), left_out)
     table = TableData(table.table, table.rows.take(product_rows(table)))
     if not table.num_rows:

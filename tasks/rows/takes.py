@@ -80,7 +80,7 @@ def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
 def read_variants(store: Store, ref: ArtifactRef, index: int | None = None) -> np.ndarray:
     """Return the motions of the variants of an artifact (variant, frame, person, 22, 3), float32, or one of them alone.
 
-    They stand in the order of its `variant_quality`.  Reading all is as fast as reading one, because groups of rows
+    They stand in the order of its `variant_quality`.  Reading all takes the time of reading one, because groups of rows
     hold several.
 
     Raises:

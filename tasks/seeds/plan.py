@@ -85,10 +85,10 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse files that are no seeds, and seeds of takes or annotations that the study lacks, as far as known.
+    """Refuse files that are no seeds, and seeds of takes or annotations that the study is known to lack.
 
     Raises:
-        InputError: Names the file and what is wrong with it, or the key that asks for what is not there.
+        InputError: Names the file and its fault, or the key that requests missing data.
     """
     section, ingest = sections["seeds"], sections.get("ingest")
     for file in section.files:
@@ -107,7 +107,7 @@ def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_a
     """Refuse seeds of missing takes or annotations; `takes` are those that may be learned from.
 
     Raises:
-        InputError: Says which key asks for what is not there.
+        InputError: Names the key that requests missing data.
     """
     if parameters.num_seeds and not takes:
         raise InputError(
@@ -129,7 +129,7 @@ def _check_sources(parameters: SeedsParameters, takes: Collection[str], *, has_a
 
 
 def _from_takes(inputs: StageInputs, parameters: SeedsParameters, takes: Mapping[str, Manifest]) -> list[Shard]:
-    """Plan a shard per named frame, or as many as are to be chosen."""
+    """Plan a shard per named frame, or one per frame to choose."""
     limits = inputs.of("joint_limits")
     prior = parameters.part(PriorSettings).model_dump()
     wanted: list[FrameSeed | ChosenSeed] = []

@@ -203,7 +203,7 @@ def _tether() -> Any:
 def _no_ctrl_c_for_children() -> Iterator[None]:
     """Start threads and processes without Ctrl-C and SIGHUP: a terminal sends both to all, only this one reacts.
 
-    Both inherit what is blocked here; a signal that comes meanwhile arrives when the block ends.  The resource tracker
+    Both inherit the blocked signals; a signal that comes meanwhile arrives when the block ends.  The resource tracker
     of multiprocessing lifts the block of SIGINT where it is started, so it is started first; it ignores SIGTERM.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
@@ -334,7 +334,7 @@ def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
 
 
 def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> None:
-    # A function of the module: what is inside the plugin travels as a copy, and so would the list.
+    # A function of the module: attributes of the plugin are sent as copies, and so would the list be.
     if reason := _why_unfit(mine, store_root, worker):
         is_refused.append(reason)
         logging.getLogger("distributed.worker").error("refused by a run of pasdedeux: %s", reason)

@@ -294,7 +294,7 @@ class ClusterPool(Pool):
         return False
 
     def give_up(self) -> None:
-        """Cancel submitted shards, as far as there is a scheduler."""
+        """Cancel submitted shards, if there is a scheduler."""
         with suppress(ClusterError), _scheduler_is_there():
             super().give_up()
 

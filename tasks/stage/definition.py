@@ -51,7 +51,7 @@ class SourceFile:
 class StageInputs:
     """The artifacts a stage may read, as manifests by table name, in a stable order.
 
-    `empty` are artifacts without tables: they state what was skipped, and why.
+    `empty` are artifacts without tables: they state the skipped work and the reason.
     """
 
     manifests: Mapping[str, Sequence[Manifest]]

@@ -20,7 +20,7 @@ Purpose = Literal["video", "random_views", "given"]
 
 
 class Facts(Settings):
-    """Facts that every artifact may have: the takes that it shows or was made from, and what was skipped."""
+    """Facts that every artifact may have: the takes that it shows or was made from, and skipped inputs."""
 
     model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)
 
@@ -98,7 +98,7 @@ class VariantFacts(PeopleFacts):
 
 
 class CoupleFact(Settings):
-    """Two people of a sequence who were taken for partners, and in how many frames they are near each other."""
+    """Two people of a sequence taken for partners, and the number of frames in which they are near each other."""
 
     sequence_id: str
     person_ids: tuple[int, int]

@@ -101,7 +101,7 @@ class Arranged:
 
 @dataclass(frozen=True)
 class Footage:
-    """What is known of a video; None for what is unknown."""
+    """Known properties of a video; None for unknown ones."""
 
     image_size_px: tuple[int, int] | None = None
     rate_hz: float | None = None

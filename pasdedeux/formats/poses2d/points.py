@@ -212,7 +212,7 @@ def _is_pose(value: Any) -> bool:
 
 
 def _poses(value: Any, person: int | str | None = None) -> Iterator[tuple[int | str | None, Array, Names]]:
-    """Yield number or name, points (K, 3) and names of the points of each person; None for what is missing."""
+    """Yield number or name, points (K, 3) and names of the points of each person; None for missing values."""
     if value is None or value in ([], {}):
         return
     if isinstance(value, list) and len(value) / 3 in LAYOUTS_OF_COUNT and not any(map(_is_nested, value)):

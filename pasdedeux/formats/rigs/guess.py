@@ -1,4 +1,4 @@
-"""Estimates of what a motion file does not state: up axis, length unit, whether it is mirrored."""
+"""Estimates of properties that a motion file does not state: up axis, length unit, whether it is mirrored."""
 
 from __future__ import annotations
 

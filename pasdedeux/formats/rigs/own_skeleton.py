@@ -1,7 +1,7 @@
 """The skeleton of a source file: its mapping to body22, and variants of its motion for other bodies.
 
 body22 is derived from a source's joints by fixed weights, so a variant of body22 determines how the source is scaled
-and posed: its offsets are scaled, and its rotations change as little as the variant needs.
+and posed: its offsets are scaled, and its rotations change only where the variant needs it.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class ClipClassifier(nn.Module):
 
     Args:
         labels: Names of the classes.
-        generator: Draws the first parameters, of the size that keeps signals as large as they are (He et al. 2015).
+        generator: Draws the first parameters, of the size that preserves the variance of signals (He et al. 2015).
     """
 
     def __init__(self, labels: Sequence[str], generator: np.random.Generator) -> None:

@@ -95,7 +95,7 @@ class InteractionCvae(WindowNetwork):
         return of_scales + of_b + of_a
 
     def _divergence(self, posterior: Tensor) -> Tensor:
-        """Return the divergence of a motion's z: summed over axes as published, or the mean of what is not free."""
+        """Return the divergence of a motion's z: a sum over axes as published, or a mean above the free bits."""
         if self.settings.balance != "free_bits":
             return divergence(posterior)
         return axis_divergence(posterior).mean(0).clamp(min=_FREE_NATS).mean()

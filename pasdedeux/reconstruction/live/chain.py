@@ -1,6 +1,6 @@
 """Reconstruction as frames arrive: each pose leaves a fixed number of frames after its image, and is never changed.
 
-The poses of a person's first two seconds leave together, as soon as the bones are known (`SETTLING_S`).
+The poses of a person's first two seconds leave together, once the bones are known (`SETTLING_S`).
 """
 
 from __future__ import annotations

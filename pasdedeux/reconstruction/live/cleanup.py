@@ -62,7 +62,7 @@ class LiveFloor:
         return float(floor)
 
     def forget(self, person: int) -> None:
-        """Forget a person who is gone."""
+        """Drop the state of a person who left."""
         self._heights.pop(person, None)
         self._last.pop(person, None)
 

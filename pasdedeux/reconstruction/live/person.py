@@ -135,7 +135,7 @@ class LivePerson:
         person_id: The person.
         searcher: Prepared database.
         rate_hz: Frames per second.
-        lens: The lens, as far as it is known.
+        lens: The lens, where known.
         options: Settings.
         floor: The floor shared with the other people of the video.
         stature_m: Stature, if known; otherwise about that of the reference body.
@@ -183,7 +183,7 @@ class LivePerson:
         return [*poses, *self._chain.finish()] if self._is_settled else []
 
     def _settle(self, frame: int) -> list[LivePose]:
-        """Return the poses held back, made again with the person's own bones, as soon as these are known."""
+        """Return the delayed poses, computed again with the person's own bones, once these are known."""
         if not self._held or frame - self._held[0][0] < self._settling - 1:
             return []
         self._chain.finish()

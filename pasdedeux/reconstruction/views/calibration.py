@@ -41,7 +41,7 @@ class View:
     """A camera, and its keypoints at the times of the first camera.
 
     Args:
-        lens: Its lens, as far as it is known; exact for a calibrated camera.
+        lens: Its lens, where known; exact for a calibrated camera.
         rotmat: Rotation from the first camera's axes to its own (3, 3).
         position_m: Its place in the first camera's axes (3,).
         offset_s: Offset of its clock from that of the first camera.

@@ -67,7 +67,7 @@ class AlignedLikelihood(Likelihood):
 
     @abstractmethod
     def _search(self, images_m: Array, limit: float, margin: float) -> tuple[Array, npt.NDArray[np.int64]]:
-        """Return the least dissimilarity of each view, (m,), and the slot that has it, as far as it can matter.
+        """Return the least dissimilarity of each view that can matter, (m,), and the slot that has it.
 
         Args:
             images_m: Centred images of the pair, (m, 2, n), metres.

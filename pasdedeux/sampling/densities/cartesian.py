@@ -32,7 +32,7 @@ CARTESIAN = Density("cartesian", "mean joint distance of the images", CartesianL
 
 @compiled()
 def lower_cartesian(images, counts, slots, lanes, limit, margin, best, best_slot):  # type: ignore[no-untyped-def]
-    """Write the least mean joint distance of each view and the slot that has it, as far as it can matter.
+    """Write the least mean joint distance of each view that can matter, and the slot that has it.
 
     Args:
         images: Centred images (m, 2, n), metres.

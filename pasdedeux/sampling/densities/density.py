@@ -151,7 +151,7 @@ class PairDensity:
         self.seed_evaluation = Evaluation(self.log_seed, terms.log_prior, log_likelihood)
 
     def __call__(self, parameters: Array, at_least: float = -np.inf) -> Evaluation:
-        """Return the target at parameters (108,), stopping as soon as it is known to lie below `at_least`.
+        """Return the target at parameters (108,), stopping once it is known to lie below `at_least`.
 
         The result decides any comparison of `log_target` with `at_least` as the full density would.
         """

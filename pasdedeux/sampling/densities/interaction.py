@@ -32,7 +32,7 @@ class InteractionLikelihood(Likelihood):
     """The likelihood of eqs. 6 and 9 over a fixed bank, as a compiled kernel.
 
     For each view every candidate's d_I is estimated from springs (`_springs`); only candidates that may be the best by
-    this estimate are compared over the annotation's edges, then over the pair's own, as long as it matters.  Views far
+    this estimate are compared over the annotation's edges, then over the pair's own, while it matters.  Views far
     behind the best one contribute less than rounding errors and are skipped, mostly before any triangulation.
 
     Args:
@@ -134,7 +134,7 @@ class InteractionLikelihood(Likelihood):
         return Nearest(np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1), self._best.copy())
 
     def _search(self, pair_m: Array, limit: float, margin: float) -> float:
-        """Fill in the least d_I of each view as far as it matters, and its entry; return the log likelihood."""
+        """Write the least d_I of each view that can matter, and its entry; return the log likelihood."""
         points = np.ascontiguousarray(pair_m).reshape(-1, 3)
         value, _ = best_per_view(points, self._tables, limit, margin, self._best, self._slot)
         return float(value)

@@ -162,7 +162,7 @@ def _exact(x, y, fixed, edges, num_edges, weights, own_edges, own_count, own_wei
 
 @compiled()
 def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore[no-untyped-def]
-    """Write the least d_I of each view, as far as it can matter, and give the log of eq. 6.
+    """Write the least d_I of each view that can matter, and return the log of eq. 6.
 
     Every candidate's d_I is estimated from springs between the joints; views are taken in the order of their least
     estimate, so the best view mostly comes first and bounds the others.  A candidate whose estimate

@@ -61,7 +61,7 @@ SHAPE_CONTEXT = Density("shape_context", "shape context of the images", ShapeCon
 def lower_shape(  # type: ignore[no-untyped-def]
     images, shells, turns, counts, slots, lanes, squares, histograms, gains, num_ranked, limit, margin, best, best_slot
 ):
-    """Write the least shape-context cost of each view and the slot that has it, as far as it can matter.
+    """Write the least shape-context cost of each view that can matter, and the slot that has it.
 
     Args:
         images: Centred images (m, 2, n), metres.

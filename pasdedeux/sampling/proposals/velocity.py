@@ -43,7 +43,7 @@ class VelocityBlocks(GaussianBlocks):
         return self.nearest(parameters)
 
     def propose(self, rng: np.random.Generator, state: ChainState) -> Proposed:
-        """Propose a step, as wide as the state's context asks for."""
+        """Propose a step with the width of the state's context."""
         blocks, noise = self._drawn(rng)
         turn, shift = self._widened(state.context)
         proposed = self._moved(state, blocks, noise, turn, shift)

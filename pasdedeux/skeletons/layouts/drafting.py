@@ -363,7 +363,7 @@ class _Drafting:
         return {"leg": legs_left, "arm": legs_left if arms > 0 else not legs_left}, _BY_POSE, abs(cosine) > _SURE_SIDE
 
     def _trunk(self, legs: _Pair, arms: _Pair, limbs: Mapping[str, Sequence[Mapping[str, int]]]) -> dict[str, int]:
-        """Return the joints of pelvis, neck and skull, as far as there are any."""
+        """Return the existing joints of pelvis, neck and skull."""
         node, chest = legs[0][0], arms[0][0]
         trunk = {} if node == chest else {"pelvis": node}
         head = self._head(legs, arms)

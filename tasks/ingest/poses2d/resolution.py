@@ -66,7 +66,7 @@ class FoundAnnotations:
             return resolve_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
 
     def in_words(self) -> str:
-        """Describe the files, and the origin of what is known of the video."""
+        """Describe the files, and the origin of the video's properties."""
         stated, frames = self.parameters, self._read()
         words = self._kind_in_words()
         words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]

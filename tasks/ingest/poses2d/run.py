@@ -135,7 +135,7 @@ def track_columns(resolved: ResolvedPeople) -> dict[str, Any]:
 
 
 def stated_of_nobody(person_ids: Iterable[int], known: Iterable[int]) -> list[str]:
-    """Return a doubt if a stature is stated for people who are not there, else nothing."""
+    """Return a doubt if a stature is stated for absent people, else nothing."""
     absent, people = sorted(set(person_ids) - set(known)), ", ".join(map(str, sorted(set(known)))) or "none"
     whom = ", ".join(map(str, absent))
     return [f"a stature is stated for person {whom}, who is not there; people: {people}"] * bool(absent)

@@ -146,7 +146,7 @@ def credit_of(people: Sequence[PersonSource], licence: str | None, credit: str |
 
 @lru_cache(maxsize=1000)
 def _head(kind: str, motion: SourceFile, companion: SourceFile | None, number: int) -> MotionHead:
-    """Check a file as far as that is cheap; cached, because a study is planned several times in a run."""
+    """Check the cheap properties of a file; cached, because a study is planned several times in a run."""
     return MOTION_FORMATS[kind].read_head(
         read_again(motion), read_again(companion) if companion else b"", number=number
     )

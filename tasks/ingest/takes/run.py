@@ -99,7 +99,7 @@ class CapturedTake:
         rate_hz: Frames per second of the fastest file.
         people: Parameters with which each person's file was read.
         figures: Measurements of each person.
-        guessed: Verdict on what was guessed about the files.
+        guessed: Verdict on the guessed properties of the files.
         judged: Verdicts on the capture.
     """
 
@@ -206,7 +206,7 @@ def _verdict(
     mirrors: Sequence[MirrorGuess],
     motions: Sequence[SourceMotion],
 ) -> Verdict:
-    """Return the verdict on what was guessed about a take, and whether stages for pairs skip it."""
+    """Return the verdict on a take's guessed properties, and whether stages for pairs skip it."""
     unit = min(person.unit_confidence for person in persons)
     up = min(axes, key=lambda axis: axis.confidence)
     reasons = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
@@ -32,6 +32,12 @@ from tests.builders.source_samples import (
 )
 
 
+def reader_of(name: str, files: Mapping[str, bytes]) -> tuple[bytes, Callable[[bytes], object]]:
+    """Return the first file of a source of 2D poses, and what reads the source with another file in its place."""
+    kind, (first, *_) = ANNOTATION_FORMATS[name], files
+    return files[first], lambda data: kind.read({**files, first: data}, sequence_id="s")
+
+
 def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
     """Return a good file and its reader for everything that is registered, and for what lies beside a motion."""
     readers: dict[str, tuple[bytes, Callable[[bytes], object]]] = {
@@ -42,32 +48,18 @@ def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
         readers[name] = (motion, lambda data, kind=kind, companion=companion: kind.read(data, companion))
         if companion:
             readers[f"{name} beside"] = (companion, lambda data, kind=kind, motion=motion: kind.read(motion, data))
-    for name, files in GOOD_ANNOTATIONS.items():
-        first, *others = files
-        rest = {other: files[other] for other in others}
-        readers[name] = (
-            files[first],
-            lambda data, kind=ANNOTATION_FORMATS[name], first=first, rest=rest: kind.read(
-                {first: data, **rest}, sequence_id="s"
-            ),
-        )
-    forms = {"coco": ("mmpose demo", "alphapose"), "points": ("by name", "rows", "columns by name")}
-    readers["image_results, ultralytics"] = (
-        image_text("ultralytics").encode(),
-        lambda data: ANNOTATION_FORMATS["image_results"].read({"w_1.json": data}, sequence_id="s"),
-    )
+    readers |= {name: reader_of(name, files) for name, files in GOOD_ANNOTATIONS.items()}
+    image = {"w_1.json": image_text("ultralytics").encode()}
+    readers["image_results, ultralytics"] = reader_of("image_results", image)
     pair = random_pairs(np.random.default_rng(1), 1)[0]
     readers["pair"] = write_pair_json(PairFile(pair)).encode(), read_pair_json
     rest = np.array([t_pose(joint) for joint in BODY22.joint_names]).tolist()
     body = json.dumps(dict(zip(BODY22.joint_names, rest, strict=True))).encode()
     readers["body"] = body, lambda data: read_body("body", data)
     texts = result_texts() | landmark_texts()
-    for name, wanted in forms.items():
-        for form in wanted:
-            readers[f"{name}, {form}"] = (
-                texts[form].encode(),
-                lambda data, kind=ANNOTATION_FORMATS[name]: kind.read({"file": data}, sequence_id="s"),
-            )
+    forms = {"coco": ("mmpose demo", "alphapose"), "points": ("by name", "rows", "columns by name")}
+    for name, form in ((name, form) for name, of_name in forms.items() for form in of_name):
+        readers[f"{name}, {form}"] = reader_of(name, {"file": texts[form].encode()})
     return readers
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -44,15 +45,10 @@ def test_a_raised_hand_on_plus_x_is_seen_right_from_the_front_and_left_from_behi
 
 
 def test_at_yaw_zero_the_camera_stands_on_plus_z_and_yaw_turns_it_towards_plus_x() -> None:
-    np.testing.assert_allclose(
-        look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=0.0, pitch_rad=0.0, focal_px=1.0).position_m, [0, 0, 2]
-    )
-    np.testing.assert_allclose(
-        look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=np.pi / 2, pitch_rad=0.0, focal_px=1.0).position_m,
-        [2, 0, 0],
-        atol=1e-12,
-    )
-    assert look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=1.0, pitch_rad=0.5, focal_px=1.0).position_m[1] > 0
+    look = partial(look_at_camera, np.zeros(3), distance_m=2.0, focal_px=1.0)
+    np.testing.assert_allclose(look(yaw_rad=0.0, pitch_rad=0.0).position_m, [0, 0, 2])
+    np.testing.assert_allclose(look(yaw_rad=np.pi / 2, pitch_rad=0.0).position_m, [2, 0, 0], atol=1e-12)
+    assert look(yaw_rad=1.0, pitch_rad=0.5).position_m[1] > 0
 
 
 def test_points_behind_the_camera_have_no_pixels() -> None:
@@ -101,20 +97,12 @@ def test_annotation_noise_and_occlusion_have_the_stated_size() -> None:
 
 
 def test_a_camera_is_located_by_the_points_that_it_sees() -> None:
-    rng = np.random.default_rng(5)
-    camera = look_at_camera(
-        np.array([0.2, 1.0, -0.3]), distance_m=4.0, yaw_rad=0.8, pitch_rad=0.3, focal_px=700.0, image_size_px=(640, 480)
-    )
-    points = rng.normal([0.2, 1.0, -0.3], 0.6, (60, 3))
+    camera = replace(_camera(), image_size_px=(640, 480))
+    points = np.random.default_rng(5).normal([0.2, 1.0, -0.3], 0.6, (60, 3))
     px = camera.project(points).px
     px[:7] = np.nan
-    locate = partial(
-        PinholeCamera.locate,
-        focal_px=700.0,
-        principal_point_px=camera.principal_point_px,
-        camera_from_world_rotmat=camera.camera_from_world_rotmat,
-        image_size_px=(640, 480),
-    )
+    known = ("focal_px", "principal_point_px", "camera_from_world_rotmat", "image_size_px")
+    locate = partial(PinholeCamera.locate, **{name: getattr(camera, name) for name in known})
     found = locate(points, px)
     np.testing.assert_allclose(found.position_m, camera.position_m, atol=1e-9)
     assert found.image_size_px == (640, 480)

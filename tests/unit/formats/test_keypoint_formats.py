@@ -366,16 +366,9 @@ def test_our_formats_round_trip_with_missing_keypoints_and_people() -> None:
     px = np.stack([person_px("body25", seed) for seed in range(4)]).round(2)
     px[1, 3] = np.nan
     px[2] = np.nan
-    frames = AnnotatedFrames(
-        layout="body25",
-        sequence_id=("b", "b", "a", "a"),
-        frame=np.array([1, 0, 4, 4]),
-        person_id=np.array([0, 0, 1, 0]),
-        keypoints_px=px,
-        confidence=np.isfinite(px).all(-1) * 0.75,
-        image_size_px={"a": (320, 240), "b": (320, 240)},
-        rate_hz=29.97,
-    )
+    frame, person_id = np.array([1, 0, 4, 4]), np.array([0, 0, 1, 0])
+    frames = replace(rows_of("body25", px), sequence_id=("b", "b", "a", "a"), frame=frame, person_id=person_id)
+    frames = replace(frames, image_size_px={"a": (320, 240), "b": (320, 240)}, rate_hz=29.97)
     assert frames.sequence_id == ("a", "a", "b", "b")
     shown = frames.rows(frames.confidence.any(axis=1))
     kinds = np.where(shown.frame == 0, KeypointStatus.ANNOTATED, KeypointStatus.TRACKED)[:, None]

@@ -21,7 +21,7 @@ from pasdedeux.kinematics.rotations import angle_between, multiply, unitquat_fro
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import LAYOUTS, find_layout
-from tests.builders.own_sources import first_frames, real_motions, write_walk
+from tests.builders.own_sources import real_motions, write_walk
 from tests.builders.source_samples import figure_motion
 
 EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
@@ -173,7 +173,7 @@ def test_other_frames_than_the_motion_has_are_refused() -> None:
 def test_weights_derive_body22_of_real_files_as_their_layouts_do(data_dir: Path) -> None:
     for name, motion in real_motions(data_dir).items():
         layout = find_layout(motion.skeleton, motion.rest_offsets_m)
-        part = first_frames(motion, 60)
+        part = motion.first_frames(60)
         own = OwnSkeleton(part, body_map(layout, part.skeleton, part.rest_offsets_m))
         wanted = derive_working_poses(part, layout).body22_m
         np.testing.assert_allclose(own.body.of(part), wanted, atol=1e-9, err_msg=name)

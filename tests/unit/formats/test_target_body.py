@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.asf_amc import read_asf
 from pasdedeux.formats.rigs.own_skeleton import OwnSkeleton, body_map, standing
-from pasdedeux.formats.rigs.target_body import TargetBody, body_of_skeleton, fit_body, read_body
+from pasdedeux.formats.rigs.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
@@ -32,12 +32,14 @@ def figure() -> OwnSkeleton:
     return OwnSkeleton(motion, body_map(LAYOUTS["body22"], BODY22, motion.rest_offsets_m))
 
 
-def tee() -> np.ndarray:
-    return standing(figure()).rest_body22_m
+def fitted(target: TargetBody) -> BodyFit:
+    """Return the scales of the figure's bones that make it this body."""
+    return fit_body(target, figure(), LENGTHS, layout="body22", who="A")
 
 
 def body_with(scales: np.ndarray) -> np.ndarray:
-    return place_bones(BODY22, np.zeros(3), bone_directions(BODY22, tee()), LENGTHS * scales)
+    tee = standing(figure()).rest_body22_m
+    return place_bones(BODY22, np.zeros(3), bone_directions(BODY22, tee), LENGTHS * scales)
 
 
 @given(seed=st.integers(0, 1000))
@@ -45,8 +47,7 @@ def test_positions_of_a_body_give_its_bones_back_whatever_its_pose(seed: int) ->
     scales = np.random.default_rng(seed).uniform(0.7, 1.3, BODY22.num_joints)
     directions = bone_directions(BODY22, REST + np.random.default_rng(seed).normal(0.0, 0.02, REST.shape))
     posed = place_bones(BODY22, np.ones(3), directions, LENGTHS * scales)
-    target = read_body("smpl.npz", npz(positions_m=posed, joint_names=SMPL))
-    fit = fit_body(target, figure(), LENGTHS, layout="body22", who="A")
+    fit = fitted(read_body("smpl.npz", npz(positions_m=posed, joint_names=SMPL)))
     np.testing.assert_allclose(fit.bone_scale[1:], scales[1:], rtol=1e-9)
     assert fit.num_guessed == 0
 
@@ -59,7 +60,7 @@ def test_a_body_of_an_asf_file_has_its_bones(tmp_path: Path) -> None:
     )
     own = OwnSkeleton(rest, body_map(LAYOUTS["cmu_asf"], rest.skeleton, rest.rest_offsets_m))
     body = body_of_skeleton("90.asf", own, "cmu_asf")
-    fit = fit_body(body, figure(), LENGTHS, layout="body22", who="A")
+    fit = fitted(body)
     # 0.42 m from knee to ankle, 0.28 m from shoulder to elbow: what the file was written with.
     for joint, length_m in (("left_ankle", 0.42), ("right_elbow", 0.28)):
         at = BODY22.index(joint)
@@ -77,13 +78,7 @@ def test_a_table_says_some_distances_and_the_rest_follows_the_body() -> None:
     body = body_with(scales)
     pairs = [("left_hip", "left_ankle"), ("left_shoulder", "right_shoulder"), ("left_shoulder", "left_wrist")]
     lines = [f"{a},{b},{np.linalg.norm(body[BODY22.index(a)] - body[BODY22.index(b)]):.6f}" for a, b in pairs]
-    fit = fit_body(
-        read_body("me.csv", "\n".join(["from,to,distance_m", *lines]).encode()),
-        figure(),
-        LENGTHS,
-        layout="body22",
-        who="A",
-    )
+    fit = fitted(read_body("me.csv", "\n".join(["from,to,distance_m", *lines]).encode()))
     np.testing.assert_allclose(fit.bone_scale[long], 1.25, atol=0.01)
     np.testing.assert_allclose(fit.bone_scale[BODY22.indices(["right_elbow", "left_wrist"])], 1.1, atol=0.01)
     assert max(map(abs, fit.misfit_m.values())) < 1e-3
@@ -92,8 +87,7 @@ def test_a_table_says_some_distances_and_the_rest_follows_the_body() -> None:
 
 def test_what_does_not_fit_together_is_said_as_misfit() -> None:
     thigh, shank, leg = (BODY22.index("left_hip"), BODY22.index("left_knee"), BODY22.index("left_ankle"))
-    body = TargetBody("odd.csv", {(thigh, shank): 0.4, (shank, leg): 0.4, (thigh, leg): 0.9})
-    fit = fit_body(body, figure(), LENGTHS, layout="body22", who="A")
+    fit = fitted(TargetBody("odd.csv", {(thigh, shank): 0.4, (shank, leg): 0.4, (thigh, leg): 0.9}))
     assert max(map(abs, fit.misfit_m.values())) == pytest.approx(0.1 / 3, rel=0.05)
 
 
@@ -142,4 +136,4 @@ def test_bad_bodies_are_refused_in_a_sentence(data: bytes, sentence: str) -> Non
 def test_a_giant_is_asked_for_its_unit() -> None:
     giant = TargetBody("giant.csv", {(BODY22.index("left_hip"), BODY22.index("left_knee")): 2.0})
     with pytest.raises(InputError, match=r"giant.csv: this body would be 5 times the size of A; .* is it in metres\?"):
-        fit_body(giant, figure(), LENGTHS, layout="body22", who="A")
+        fitted(giant)

@@ -16,6 +16,7 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.crowds import duet_couple
 from tests.builders.filmed_people import Detections, film, joined
+from tests.builders.own_sources import film_duet
 from tests.builders.walkers import walk
 
 
@@ -109,21 +110,11 @@ def test_a_passer_by_is_nobodys_partner() -> None:
 
 def test_faults_are_put_right_in_the_keypoints_that_move_with_the_joints() -> None:
     layout = KEYPOINT_LAYOUTS["body25"]
-    seen = dance(0.0)
-    order = np.lexsort([seen.true_id, seen.frame])
-    px, confidence = np.full((len(order), 25, 2), np.nan), np.zeros((len(order), 25))
-    for joint, name in enumerate(OP14.joint_names):
-        at = layout.keypoint_names.index({"head": "nose"}.get(name, name))
-        px[:, at], confidence[:, at] = seen.keypoints_px[order, joint], 1.0
-        if name.endswith("ankle"):
-            toe = layout.keypoint_names.index(name.replace("ankle", "big_toe"))
-            px[:, toe], confidence[:, toe] = seen.keypoints_px[order, joint] + [0.0, 9.0], 1.0
-    middle = layout.keypoint_names.index("mid_hip")
-    hips = [layout.keypoint_names.index(f"{side}_hip") for side in ("left", "right")]
-    px[:, middle], confidence[:, middle] = px[:, hips].mean(axis=1), 1.0
-    right = AnnotatedFrames(
-        "body25", ("v",) * len(px), seen.frame[order], seen.true_id[order], px, confidence, rate_hz=30
-    )
+    filmed_px = film_duet("waltz", duration_s=4.0, rate_hz=30.0).keypoints_px("body25")
+    frame, person_id = (number.ravel() for number in np.indices(filmed_px.shape[:2]))
+    px = filmed_px.reshape(-1, 25, 2)
+    confidence = np.isfinite(px).all(axis=-1).astype(float)
+    right = AnnotatedFrames("body25", ("v",) * len(px), frame, person_id, px, confidence, rate_hz=30)
     wrong = px.copy()
     row = 60
     mirrored = [

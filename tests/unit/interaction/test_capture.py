@@ -91,36 +91,34 @@ def test_the_built_in_duets_pass_at_any_rate(name: str) -> None:
 
 
 def test_two_of_one_body_are_doubted_though_they_move_each_in_their_own_way() -> None:
-    pair = duet("waltz", 30.0)
-    lengths = bone_lengths(BODY22, pair[0, 0])
-    same = np.stack(
-        [place_bones(BODY22, pair[:, 0, 0], bone_directions(BODY22, pair[:, 0]), 1.04 * lengths), pair[:, 1]], 1
-    )
-    twin = place_bones(BODY22, pair[:, 1, 0], bone_directions(BODY22, pair[:, 1]), 1.04 * lengths)
-    assert judged(same, 30.0).level is Level.PASS
-    verdict = judged(np.stack([same[:, 0], twin], axis=1), 30.0)
+    people = duet("waltz", 30.0).swapaxes(0, 1)
+    lengths = 1.04 * bone_lengths(BODY22, people[0, 0])
+    leader, twin = (place_bones(BODY22, body[:, 0], bone_directions(BODY22, body), lengths) for body in people)
+    assert judged(np.stack([leader, people[1]], axis=1), 30.0).level is Level.PASS
+    verdict = judged(np.stack([leader, twin], axis=1), 30.0)
     assert verdict.level is Level.WARN
     assert "the partners have the same body" in verdict.reason
 
 
 def test_how_deep_people_are_in_each_other_is_said() -> None:
-    hug, deep = duet("hug", 30.0), duet("hug", 30.0).copy()
+    hug = duet("hug", 30.0)
     assert check_capture(hug, rate_hz=30.0)[0].penetration_m < 0.05
-    axis = deep[:, 1, :1] - deep[:, 0, :1]
-    deep[:, 1] -= axis * [1.0, 0.0, 1.0]
+    deep = hug.copy()
+    deep[:, 1] -= (hug[:, 1, :1] - hug[:, 0, :1]) * [1.0, 0.0, 1.0]
     found = check_capture(deep, rate_hz=30.0)[0]
     assert 0.12 < found.penetration_m < 0.2
     assert f"people are {found.penetration_m:.2f} m inside each other" in judged(deep, 30.0).reason
 
 
 def test_one_of_three_who_is_far_away_or_another_twice_is_noticed() -> None:
-    away, twice = (duet("trio", 30.0).copy() for _ in range(2))
-    away[:, 2] += [7.0, 0.0, 0.0]
-    twice[:, 2] = twice[:, 0] + [1.5, 0.0, 0.0]
-    for people, said in ((away, "come no nearer than"), (twice, "the same motion twice")):
-        verdict = judged(people, 30.0)
+    trio = duet("trio", 30.0)
+    for third, reason in (
+        (trio[:, 2] + [7.0, 0.0, 0.0], "come no nearer than"),
+        (trio[:, 0] + [1.5, 0.0, 0.0], "the same motion twice"),
+    ):
+        verdict = judged(np.stack([trio[:, 0], trio[:, 1], third], axis=1), 30.0)
         assert verdict.level is Level.FAIL
-        assert said in verdict.reason
+        assert reason in verdict.reason
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -143,10 +141,10 @@ def test_a_verdict_is_blind_to_place_and_heading(fault: str | None, yaw: float, 
     pair = FAULTS[fault][0](pair) if fault else pair
     cos, sin = np.cos(yaw), np.sin(yaw)
     turned = pair @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]).T + np.array(shift)
-    found, moved = (judge_capture(check_capture(one, rate_hz=30.0), LIMITS) for one in (pair, turned))
-    assert [verdict.level for verdict in found.people] == [verdict.level for verdict in moved.people]
-    for one, other in zip(check_capture(pair, rate_hz=30.0), check_capture(turned, rate_hz=30.0), strict=True):
-        assert one.complaints(LIMITS) == other.complaints(LIMITS)
+    found, moved = (check_capture(people, rate_hz=30.0) for people in (pair, turned))
+    levels = [[verdict.level for verdict in judge_capture(people, LIMITS).people] for people in (found, moved)]
+    assert levels[0] == levels[1]
+    assert [person.complaints(LIMITS) for person in found] == [person.complaints(LIMITS) for person in moved]
 
 
 def test_a_limit_is_what_the_study_says() -> None:

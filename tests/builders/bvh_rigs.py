@@ -85,6 +85,15 @@ def bvh_of(nodes: Sequence[Node], values: np.ndarray) -> str:
     return "\n".join(["HIERARCHY", *block(0), "MOTION", f"Frames: {len(rows)}", "Frame Time: 0.008333", *rows]) + "\n"
 
 
+def bvh_of_several(files: Sequence[str], *, has_common_root: bool) -> str:
+    """Return one file of the people of several that have as many frames: with roots of their own, or below a node."""
+    trees, tables = zip(*(file.removeprefix("HIERARCHY\n").split("MOTION\n") for file in files), strict=True)
+    if has_common_root:
+        trees = ("ROOT scene { OFFSET 0 0 0 CHANNELS 0\n", *(tree.replace("ROOT", "JOINT", 1) for tree in trees), "}\n")
+    rows = map(" ".join, zip(*(table.splitlines()[2:] for table in tables), strict=True))
+    return "HIERARCHY\n" + "".join(trees) + "\n".join(["MOTION", *tables[0].splitlines()[:2], *rows]) + "\n"
+
+
 def world_of_file(text: str) -> dict[str, np.ndarray]:
     """Return the place (frame, 3) of every joint of a file by its numbers as they are written, frame by frame."""
     tree, _, motion = text.partition("MOTION")

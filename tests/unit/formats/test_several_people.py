@@ -15,7 +15,7 @@ from pasdedeux.formats.trc import TRC, read_points, write_trc
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store
 from tests.builders.body_models import npz
-from tests.builders.bvh_rigs import Node, body_nodes, bvh_of
+from tests.builders.bvh_rigs import body_nodes, bvh_of, bvh_of_several
 from tests.builders.ingest_runs import judged, planned, run
 from tests.builders.source_samples import c3d_points, figure_motion, trc_text
 
@@ -76,23 +76,15 @@ def test_gaps_and_counts_of_a_trc_are_told() -> None:
 
 
 def bvh_of_two() -> bytes:
-    """Return two people below one node, and a frame more than `Frames:` states."""
-    rng = np.random.default_rng(0)
-    text = [
-        bvh_of(nodes := body_nodes(above=[], kinds=(3,), rng=rng, prefix=who), angles_of(nodes, place))
-        for who, place in (("A:", 0.0), ("B:", 90.0))
-    ]
-    trees = "".join(one.partition("HIERARCHY\n")[2].partition("MOTION")[0].replace("ROOT", "JOINT", 1) for one in text)
-    rows = "\n".join(map(" ".join, zip(*(one.strip().split("\n")[-4:] for one in text), strict=True)))
-    tree = f"HIERARCHY\nROOT scene {{\nOFFSET 0 0 0\nCHANNELS 0\n{trees}}}\n"
-    return f"{tree}MOTION\nFrames: 3\nFrame Time: 0.033\n{rows}\n".encode()
-
-
-def angles_of(nodes: list[Node], place: float) -> np.ndarray:
-    """Return four rows in which nothing turns and the root stands at a place along X."""
-    root = {"Xposition": place, "Yposition": 95.0}
-    row = [root.get(channel, 0.0) if node.parent < 0 else 0.0 for node in nodes for channel in node.channels]
-    return np.tile(row, (4, 1))
+    """Return two people who stand beside each other, and a frame more than `Frames:` states."""
+    rng, files = np.random.default_rng(0), []
+    for prefix, x_cm in (("A:", 0.0), ("B:", 90.0)):
+        nodes = body_nodes(above=[], kinds=(3,), rng=rng, prefix=prefix)
+        places = {"Xposition": x_cm, "Yposition": 95.0}
+        row = [places.get(channel, 0.0) for node in nodes for channel in node.channels]
+        files.append(bvh_of(nodes, np.tile(row, (4, 1))))
+    text = bvh_of_several(files, has_common_root=True)
+    return text.replace("Frames: 4", "Frames: 3").replace("0.008333", "0.033").encode()
 
 
 PAIRS = {

@@ -5,8 +5,8 @@ none shows has its usual proportion.  The torso is lifted with the torso basis; 
 each torso, towards or away from the camera for each limb bone, and the relative depth of the people.  Joint limits
 choose among the 256 poses of a person's limbs, the estimated view and penetration among twins and depths. Joints that
 are not seen are first estimated in the image: those of the torso where the lifted one has them, those of limbs by the
-seen part of the limb.  A lifted pair has an error of 8-11 cm on captured dancers; growth (`growth.grow`) then reduces it by
-comparing pairs.
+seen part of the limb.  A lifted pair has an error of 8-11 cm on captured dancers; growth (`growth.grow`) then reduces
+it by comparing pairs.
 """
 
 from __future__ import annotations

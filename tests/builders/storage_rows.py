@@ -93,6 +93,15 @@ def list_as_of_schema_1(dataset: Path) -> None:
     path.write_text(json.dumps({name: value for name, value in values.items() if name != "sources"}))
 
 
+def edit_json(path: Path, *names: str, **changes: Any) -> None:
+    """Change values of a file, or of the part of it that names lead to."""
+    values = part = json.loads(path.read_text())
+    for name in names:
+        part = part[name]
+    part.update(changes)
+    path.write_text(json.dumps(values))
+
+
 def assert_same_values(found: Any, given: Any) -> None:
     """Assert that a column read back holds what was given; None and NaN are equal in nullable number columns."""
     if isinstance(found, np.ndarray) and found.dtype != object:

@@ -22,7 +22,7 @@ from storage_schema import (
     record_latest,
 )
 from storage_schema.errors import NewerSchema
-from tests.builders.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows, edit_json
 
 
 def test_a_record_says_what_decided_a_shard(store: Store) -> None:
@@ -40,17 +40,14 @@ def test_the_latest_run_reads_back_and_keeps_stages_it_did_not_run(store: Store)
     assert latest_studies(store) == []
     take = commit_rows(store, "poses", stage="ingest", partition="waltz", files=(("a.bvh", "ff"),))
     seeds = commit_rows(store, "seeds", stage="seeds", inputs=(take,))
-    records = [ShardRecord.of(store.manifest(ref), store) for ref in (take, seeds)]
-    record_latest(store, "duets", "one", {"ingest": records[:1]})
-    written = record_latest(store, "duets", "two", {"seeds": records[1:]})
+    for run_id, ref in (("one", take), ("two", seeds)):
+        records = {ref.stage: [ShardRecord.of(store.manifest(ref), store)]}
+        written = record_latest(store, "duets", run_id, records)
     found = read_latest(store, "duets")
-    assert found == written
     assert found is not None
-    assert found.run_id == "two"
-    assert found.refs("ingest") == [take]
-    assert found.refs("ingest", "waltz") == [take]
-    assert found.refs("ingest", "hug") == []
-    assert found.refs("chains") == []
+    assert (found, found.run_id) == (written, "two")
+    refs = [found.refs(*words) for words in (("ingest",), ("ingest", "waltz"), ("ingest", "hug"), ("chains",))]
+    assert refs == [[take], [take], [], []]
     assert latest_studies(store) == ["duets"]
     assert list(store.artifacts("runs")) == []
 
@@ -74,12 +71,11 @@ def test_runs_that_record_at_the_same_time_lose_nothing(store: Store) -> None:
 def test_a_damaged_or_newer_record_is_said(store: Store) -> None:
     record_latest(store, "duets", "one", {})
     path = store.root / "runs" / "latest" / "duets.json"
-    text = path.read_text()
-    path.write_text(text[:-10])
-    with pytest.raises(CorruptArtifact, match=r"duets\.json cannot be read"):
-        read_latest(store, "duets")
-    path.write_text(json.dumps({**json.loads(text), "schema_version": 7}))
+    edit_json(path, schema_version=7)
     with pytest.raises(NewerSchema, match="schema version 7"):
+        read_latest(store, "duets")
+    path.write_text(path.read_text()[:-10])
+    with pytest.raises(CorruptArtifact, match=r"duets\.json cannot be read"):
         read_latest(store, "duets")
 
 

@@ -11,6 +11,7 @@ from storage_schema.staging import StagingFolder, clean_leftovers
 
 
 def test_a_living_owner_keeps_its_folder(tmp_path: Path) -> None:
+    assert clean_leftovers(tmp_path / "tmp") == 0, "there is nothing yet"
     folder = StagingFolder(tmp_path / "tmp")
     (folder.path / "file").write_bytes(b"x")
     assert clean_leftovers(tmp_path / "tmp") == 0
@@ -28,29 +29,19 @@ def test_a_dead_owner_loses_its_folder(tmp_path: Path) -> None:
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_another_hosts_folder_stays_until_it_is_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_hosts_folder_stays_until_it_is_old_by_its_file_system_whatever_the_clock_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = StagingFolder(tmp_path / "tmp")
     (folder.path / "file").write_bytes(b"x")
     os.close(folder.lock)
     monkeypatch.setattr(staging, "host_name", lambda: "elsewhere")
-    assert clean_leftovers(tmp_path / "tmp") == 0
+    ahead = time.time() + 30 * 24 * 3600
+    with monkeypatch.context() as patch:
+        patch.setattr("time.time", lambda: ahead)
+        assert clean_leftovers(tmp_path / "tmp") == 0
+    assert {path.name for path in (tmp_path / "tmp").iterdir()} == {folder.path.name, f"{folder.path.name}.lock"}
     for path in (folder.path / "file", folder.path, folder.path.with_name(f"{folder.path.name}.lock")):
         os.utime(path, (0, 0))
     assert clean_leftovers(tmp_path / "tmp") == 1
     assert list((tmp_path / "tmp").iterdir()) == []
-
-
-def test_another_hosts_folder_is_as_old_as_its_file_system_says_whatever_the_clock_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = StagingFolder(tmp_path / "tmp")
-    os.close(folder.lock)
-    monkeypatch.setattr(staging, "host_name", lambda: "elsewhere")
-    ahead = time.time() + 30 * 24 * 3600
-    monkeypatch.setattr("time.time", lambda: ahead)
-    assert clean_leftovers(tmp_path / "tmp") == 0
-    assert {path.name for path in (tmp_path / "tmp").iterdir()} == {folder.path.name, f"{folder.path.name}.lock"}
-
-
-def test_there_is_nothing_to_clean_where_nothing_is(tmp_path: Path) -> None:
-    assert clean_leftovers(tmp_path / "tmp") == 0

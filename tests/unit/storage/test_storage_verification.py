@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,7 +25,7 @@ from storage_schema.ancestry import inputs_with
 from storage_schema.errors import NamedByDataset, OlderSchema
 from storage_schema.garbage import find_unneeded
 from storage_schema.verification import ProblemKind
-from tests.builders.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows, edit_json
 from tests.builders.toy_runs import run_toys, write_study
 
 
@@ -46,27 +44,25 @@ def test_an_undamaged_store_has_no_problems(store: Store, refs: list[ArtifactRef
 
 def test_every_kind_of_damage_is_named_and_nothing_else(store: Store, refs: list[ArtifactRef]) -> None:
     create_dataset(store, "released", refs[:1])
-    folders = [store.folder(ref.stage, ref.key) for ref in refs]
-    data = bytearray((folders[0] / "scores.parquet").read_bytes())
+    first, second, third = (store.folder(ref.stage, ref.key) for ref in refs)
+    data = bytearray((first / "scores.parquet").read_bytes())
     data[20] ^= 1
-    (folders[0] / "scores.parquet").write_bytes(data)
-    (folders[0] / "note.txt").unlink()
-    (folders[0] / "stray.txt").write_bytes(b"")
-    (folders[1] / "manifest.json").write_text("{}")
-    manifest = json.loads((folders[2] / "manifest.json").read_text())
-    manifest["ref"]["content_digest"] = "0" * 64
-    (folders[2] / "manifest.json").write_text(json.dumps(manifest))
-    (store.root / "seeds" / "ab" / ("ab" + "0" * 62)).mkdir(parents=True)
+    (first / "scores.parquet").write_bytes(data)
+    (first / "note.txt").unlink()
+    (first / "stray.txt").write_bytes(b"")
+    (second / "manifest.json").write_text("{}")
+    edit_json(third / "manifest.json", "ref", content_digest="0" * 64)
+    lost = "ab" + "0" * 62
+    (store.root / "seeds" / "ab" / lost).mkdir(parents=True)
     problems = verify(store).problems
-    assert f"seeds@ab{'0' * 10}/manifest.json: missing: " in "\n".join(map(str, problems))
-    found = {(problem.key, problem.file_name, problem.kind) for problem in problems}
-    assert found == {
+    assert f"seeds@{lost[:12]}/manifest.json: missing: " in "\n".join(map(str, problems))
+    assert {(problem.key, problem.file_name, problem.kind) for problem in problems} == {
         (refs[0].key, "scores.parquet", ProblemKind.CHANGED),
         (refs[0].key, "note.txt", ProblemKind.MISSING),
         (refs[0].key, "stray.txt", ProblemKind.EXTRA),
         (refs[1].key, "manifest.json", ProblemKind.UNREADABLE),
         (refs[2].key, "manifest.json", ProblemKind.CHANGED),
-        ("ab" + "0" * 62, "manifest.json", ProblemKind.MISSING),
+        (lost, "manifest.json", ProblemKind.MISSING),
         (refs[0].key, "manifest.json", ProblemKind.MISSING),
     }
 
@@ -243,21 +239,18 @@ def test_every_word_of_a_manifest_that_is_edited_alone_is_found(built: Store) ->
 
 
 @pytest.mark.parametrize(
-    "edit",
+    ("names", "changes"),
     [
-        lambda values: values["sources"].append({"name": "a", "licence": "public domain", "credit": "nobody"}),
-        lambda values: values["parameters"].update(noise_px=3.0),
-        lambda values: values["package_versions"].update(numpy="0"),
-        lambda values: values["tables"]["scores"].update(rows=4),
-        lambda values: values["tables"]["scores"].update(schema="0" * 16),
+        ((), {"sources": [{"name": "a", "licence": "public domain", "credit": "nobody"}]}),
+        (("parameters",), {"noise_px": 3.0}),
+        (("package_versions",), {"numpy": "0"}),
+        (("tables", "scores"), {"rows": 4}),
+        (("tables", "scores"), {"schema": "0" * 16}),
     ],
 )
-def test_edits_of_parts_of_a_manifest_are_found(store: Store, edit: Callable[[dict[str, Any]], object]) -> None:
+def test_edits_of_parts_of_a_manifest_are_found(store: Store, names: tuple[str, ...], changes: dict[str, Any]) -> None:
     ref = commit_rows(store)
-    path = store.folder(ref.stage, ref.key) / "manifest.json"
-    values = json.loads(path.read_text())
-    edit(values)
-    path.write_text(json.dumps(values))
+    edit_json(store.folder(ref.stage, ref.key) / "manifest.json", *names, **changes)
     assert [problem.file_name for problem in verify(store).problems] == ["manifest.json"]
 
 
@@ -277,8 +270,7 @@ def test_manifests_of_a_release_without_digests_are_read_and_counted_in_one_note
     assert note.startswith("manifests without a digest of themselves, as earlier releases wrote them: 2; ")
 
 
-def test_copies_of_reports_are_compared_with_what_they_were_copied_from(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_copies_of_reports_are_compared_with_what_they_were_copied_from(store: Store) -> None:
     page = {"report.html": b"<p>pass</p>", "card.md": b"# Card"}
     ref = commit_rows(store, attachments=page)
     run = new_run(store, "duets")
@@ -296,8 +288,7 @@ def test_copies_of_reports_are_compared_with_what_they_were_copied_from(tmp_path
     }
 
 
-def test_the_copy_of_the_last_report_is_compared_with_the_reports_of_runs(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_the_copy_of_the_last_report_is_compared_with_the_reports_of_runs(store: Store) -> None:
     for study in ("duets", "duets-2.5"):
         run = new_run(store, study)
         (run.path / "report").mkdir()
@@ -306,9 +297,8 @@ def test_the_copy_of_the_last_report_is_compared_with_the_reports_of_runs(tmp_pa
         assert copy == store.root / "runs" / "latest" / f"{study}.html"
     assert verify(store).is_ok
     copy.write_bytes(b"edited")
-    assert [(problem.kind, problem.file_name) for problem in verify(store).problems] == [
-        (ProblemKind.CHANGED, "duets-2.5.html")
-    ]
+    (problem,) = verify(store).problems
+    assert (problem.kind, problem.file_name) == (ProblemKind.CHANGED, "duets-2.5.html")
     record_page(store, study, study.encode())
     assert verify(store).is_ok
     (copy.parent / "unreadable.html").mkdir()

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from flows.console.app import run_command_line
 from flows.exports.overlay_video import FilmImages
 from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
 from flows.viewing.curves import time_strip
@@ -51,6 +50,7 @@ from tasks.ingest.film.readers import FilmFrame, open_film, read_film
 from tasks.ingest.film.run import find_videos
 from tasks.stage import SourceFile
 from tasks.stage.facts import SequenceFacts
+from tests.builders.command_line import CommandLine
 from tests.builders.ingest_runs import duet_store, planned, run
 from tests.builders.moving_pairs import swaying_pair
 from tests.builders.mp4_boxes import with_durations
@@ -64,6 +64,9 @@ from tests.builders.toy_runs import wait_until
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """Return a store with one duet of a second."""
     return duet_store(tmp_path_factory.mktemp("viewed") / "store")[0]
+
+
+OpenViewer = Callable[..., Viewer]
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +166,19 @@ def test_the_image_of_2d_poses_has_the_size_of_its_own_sequence(tmp_path: Path) 
         assert [flat.size_px for flat in SequenceFootage(store, ref, name).flats(0, name)] == [size]
 
 
+WRIST = PAIR17.index("left_wrist")
+
+
+def begin(editor: Editor, frame: int) -> Callable[[Dragged], object]:
+    """Begin to change what is shown in a frame; return what a joint is dragged with."""
+    editor._is_on.value = True
+    editor._begin()
+    editor.viewer.seek(frame)
+    drag = editor.viewer.side.on_drag
+    assert drag is not None
+    return drag
+
+
 def annotated(store: Store, name: str, places: dict[str, list[object]], points_px: np.ndarray) -> Manifest:
     """Return an artifact of 2D poses in images of 640 by 480 pixels, of one partition."""
     columns = random_columns("annotations", len(points_px)) | {"is_key": [True] * len(points_px)} | places
@@ -173,26 +189,21 @@ def annotated(store: Store, name: str, places: dict[str, list[object]], points_p
     )
 
 
-def test_2d_poses_are_saved_as_they_are_but_for_who_was_changed_in_the_frame_of_the_change(tmp_path: Path) -> None:
+def test_2d_poses_are_saved_as_they_are_but_for_who_was_changed_in_the_frame_of_the_change(
+    tmp_path: Path, open_viewer: OpenViewer
+) -> None:
     rng = np.random.default_rng(4)
     places = {"sequence_id": ["walk"] * 6, "person_id": [9, 4] * 3, "partner_id": [4, 9] * 3}
     places |= {"frame": np.repeat(np.arange(3), 2), "time_s": np.repeat(np.arange(3) / 30.0, 2)}
     points, confidence = rng.uniform(50.0, 400.0, (6, 17, 2)), rng.uniform(0.2, 1.0, (6, 17))
     points[0, 3], confidence[0, 3] = np.nan, 0.0
     store = Store(tmp_path / "store")
-    shown = Viewer(Shelf(store, [annotated(store, "walk", places | {"pair17_confidence": confidence}, points).ref]))
-    try:
-        editor = Editor(shown, tmp_path / "out")
-        editor._is_on.value = True
-        editor._begin()
-        shown.seek(1)
-        drag = shown.side.on_drag
-        assert drag is not None
-        drag(Dragged(1, PAIR17.index("left_wrist"), np.array([123.0, 45.0]), is_last=True))
-        saved = read_annotation_csv(editor.save().read_bytes())
-    finally:
-        shown.stop()
-    points[2, PAIR17.index("left_wrist")] = 123.0, 45.0  # the second person is who has the larger number
+    walk = annotated(store, "walk", places | {"pair17_confidence": confidence}, points)
+    editor = Editor(open_viewer(Shelf(store, [walk.ref])), tmp_path / "out")
+    drag = begin(editor, 1)
+    drag(Dragged(1, WRIST, np.array([123.0, 45.0]), is_last=True))
+    saved = read_annotation_csv(editor.save().read_bytes())
+    points[2, WRIST] = 123.0, 45.0  # the second person is who has the larger number
     order = [1, 0, 3, 2, 5, 4]
     assert (saved.frame.tolist(), saved.person_id.tolist()) == ([0, 0, 1, 1, 2, 2], [4, 9] * 3)
     np.testing.assert_allclose(saved.keypoints_px, points[order], atol=5.1e-3)  # the file has 0.01 px
@@ -251,16 +262,17 @@ def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
     assert viewer.frame == viewer.scene.num_frames - 2
 
 
-def test_keys_step_by_one_frame_or_item_forth_and_back(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_step_by_one_frame_or_item_forth_and_back(
+    store: Store, open_viewer: OpenViewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     keys: dict[str, Callable[..., None]] = {}
     monkeypatch.setattr("flows.viewing.panel.Panel.bind", lambda _, label, key, action: keys.update({key: action}))
-    shown = Viewer(open_shelf(store, None))
+    shown = open_viewer(open_shelf(store, None))
     steps: list[Any] = []
     monkeypatch.setattr(shown, "step", steps.append)
     monkeypatch.setattr(shown, "step_item", lambda by: steps.append(("item", by)))
     for key in ("arrowleft", "arrowright", "arrowup", "arrowdown"):
         keys[key](None)
-    shown.stop()
     assert steps == [-1, 1, ("item", -1), ("item", 1)]
 
 
@@ -496,24 +508,22 @@ def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) 
 
 
 def test_what_cannot_be_shown_is_refused_in_one_sentence(
-    store: Store, tmp_path: Path, viewer: Viewer, capsys: pytest.CaptureFixture[str]
+    store: Store, tmp_path: Path, viewer: Viewer, invoke: CommandLine
 ) -> None:
     empty, text = tmp_path / "empty", tmp_path / "walk.bvh"
     text.write_text("this is no motion\n")
-    used = str(viewer.server.get_port())
+    used = viewer.server.get_port()
     for words, said in (
         (["takes:short"], "contains no people"),
         (["nowhere"], "is no file here, and no study, run or reference"),
         (["poses:short#99999"], "there is no row 99999"),
-        ([str(text)], "none of the known formats"),
-        (["--store", str(empty)], "holds no study yet"),
+        ([text], "none of the known formats"),
         (["--port", used], f"port {used} is in use"),
         ([new_run(store, "short").run_id], "is no finished run"),
-        (["--curation", str(text)], "walk.bvh, line 1: a choice is"),
+        (["--curation", text], "walk.bvh, line 1: a choice is"),
     ):
-        more = [] if "--store" in words else ["--store", str(store)]
-        assert run_command_line(["view", *words, *more]) == 2, words
-        assert said in capsys.readouterr().err
+        assert said in invoke.at(store).refusal("view", *words)
+    assert "holds no study yet" in invoke.at(empty).refusal("view")
     assert not empty.exists(), "looking makes nothing"
 
 
@@ -629,23 +639,33 @@ def reader(path: Path, **told: object) -> FilmReader:
     return FilmReader(lambda: (SourceFile(path=str(path), sha256=""),), **told)  # type: ignore[arg-type]
 
 
-def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def grey_of(film: FilmReader, number: int) -> float:
+    image = film.image(number)
+    assert image is not None, number
+    return float(image.mean())
+
+
+@pytest.fixture
+def few_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a reader of film keep few images."""
     monkeypatch.setattr("flows.viewing.films._NUM_KEPT", 8)
     monkeypatch.setattr("flows.viewing.films._NUM_BEFORE", 4)
+
+
+OF_FILM = {"num_given": 1, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
+
+
+def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, few_are_kept: None) -> None:
     film = reader(grey_film(tmp_path / "grey.avi", 40))
     for number in (0, 1, 38, 36, 3, 39, 20, 21):
-        image = film.image(number)
-        assert image is not None
-        assert abs(float(image.mean()) - 6 * number) < 2.5, number
+        assert grey_of(film, number) == pytest.approx(6 * number, abs=2.5)
     assert film.image(40) is None
     assert film.image(4) is not None, "after its end it is read again"
 
 
 def test_a_shot_is_sought_where_it_begins_and_images_that_were_seen_where_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, few_are_kept: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flows.viewing.films._NUM_KEPT", 8)
-    monkeypatch.setattr("flows.viewing.films._NUM_BEFORE", 4)
     found: list[tuple[int, int, float | None]] = []
 
     def read(files: tuple[SourceFile, ...], first: int, after_s: float | None, sought: int) -> Iterator[FilmFrame]:
@@ -657,9 +677,7 @@ def test_a_shot_is_sought_where_it_begins_and_images_that_were_seen_where_they_a
     times_s = open_film(path).times_s
     film = reader(path, first_frame=10, after_s=times_s[9])
     for number in (20, 35, 12):
-        image = film.image(number)
-        assert image is not None
-        assert abs(float(image.mean()) - 6 * number) < 3.0, number
+        assert grey_of(film, number) == pytest.approx(6 * number, abs=3.0)
     assert found == [(16, 10, times_s[9]), (31, 21, times_s[20]), (10, 10, times_s[9])]
 
 
@@ -669,10 +687,8 @@ def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_overlay(tmp_path: 
     path.write_bytes(with_durations(path.read_bytes(), durations.tolist()))
     footage, film = FilmImages(path, 30.0), reader(path, rate_hz=30.0)
     num_frames = int(30.0 * durations[:-1].sum())
-    for number in [num_frames - 3, *range(num_frames), *rng.permutation(num_frames)]:
-        image = film.image(int(number))
-        assert image is not None
-        assert abs(float(image.mean()) - float(footage(int(number)).mean())) < 2.5, number
+    for number in (num_frames - 3, *range(num_frames), *rng.permutation(num_frames).tolist()):
+        assert grey_of(film, number) == pytest.approx(footage(number).mean(), abs=2.5)
     assert film.image(num_frames + 10) is None
 
 
@@ -680,9 +696,8 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = grey_film(tmp_path / "grey.avi", 5)
-    told = {"num_given": 1, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
     files = (("keys.csv", "0" * 64), (path.name, user_file_digest(path)))
-    manifest = SimpleNamespace(parameters=told, files=files)
+    manifest = SimpleNamespace(parameters=OF_FILM, files=files)
     ingest = {"videos": [{"id": "grey", "path": str(path)}]}
     asked: list[Path] = []
     monkeypatch.setattr("flows.viewing.films.user_file_digest", lambda one: asked.append(one) or user_file_digest(one))
@@ -699,46 +714,40 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
         assert film.trouble == "the film grey.avi of these 2D poses is missing, or has changed since it was read"
 
 
-def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(tmp_path: Path) -> None:
+def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(
+    tmp_path: Path, open_viewer: OpenViewer
+) -> None:
     film = write_film(tmp_path / "walk.mp4", (painted(0, frame) for frame in range(20)))
     keys = write_keys(tmp_path / "keys.csv", [0, 8, 19])
     source = {"id": "walk", "path": str(film), "keys": str(keys)}
     store = Store(tmp_path / "store")
     (manifest,) = run(store, planned(videos=[source])).values()
-    shown = Viewer(Shelf(store, [manifest.ref], sections={"ingest": {"videos": [source]}}))
-    try:
-        editor = Editor(shown, tmp_path / "out")
-        editor._is_on.value = True
-        editor._begin()
-        assert editor._next.visible
-        shown.seek(0)
-        editor.next_to_correct()
-        assert shown.frame in shown.shelf.shot(manifest.ref).next_frames(20)
-        shown.seek(13)
-        wrist = PAIR17.index("left_wrist")
-        before = [shown.scene.images(at)[0].points_px.copy() for at in range(20)]
-        drag = shown.side.on_drag
-        assert drag is not None
-        for share in (0.5, 1.0):
-            drag(Dragged(1, wrist, before[13][1, wrist] + share * np.array([16.0, 6.0]), is_last=share == 1.0))
-        assert shown.frame == 13
-        after = [shown.scene.images(at)[0].points_px for at in range(20)]
-        moved = [np.linalg.norm(one - other, axis=-1) for one, other in zip(after, before, strict=True)]
-        assert moved[13][1, wrist] == pytest.approx(np.hypot(16.0, 6.0), abs=0.01)
-        assert min(moved[at][1, wrist] for at in (12, 14)) > 3.0
-        assert max(np.delete(one.reshape(-1), 17 + wrist).max() for one in moved) < 1e-3
-        with pytest.raises(InputError, match="chest is no keypoint of the layout 'coco17'"):
-            drag(Dragged(1, PAIR17.index("chest"), before[13][1, wrist], is_last=True))
-        saved = editor.save()
-    finally:
-        shown.stop()
-    (one,) = find_videos(FilmOptions(id="walk", path=film, keys=saved))
-    frames = one.read()
+    shown = open_viewer(Shelf(store, [manifest.ref], sections={"ingest": {"videos": [source]}}))
+    editor = Editor(shown, tmp_path / "out")
+    drag = begin(editor, 0)
+    assert editor._next.visible
+    editor.next_to_correct()
+    assert shown.frame in shown.shelf.shot(manifest.ref).next_frames(20)
+    shown.seek(13)
+    before = [shown.scene.images(at)[0].points_px.copy() for at in range(20)]
+    for share in (0.5, 1.0):
+        drag(Dragged(1, WRIST, before[13][1, WRIST] + share * np.array([16.0, 6.0]), is_last=share == 1.0))
+    assert shown.frame == 13
+    after = [shown.scene.images(at)[0].points_px for at in range(20)]
+    moved = np.linalg.norm(np.array(after) - before, axis=-1)
+    assert moved[13, 1, WRIST] == pytest.approx(np.hypot(16.0, 6.0), abs=0.01)
+    assert moved[[12, 14], 1, WRIST].min() > 3.0
+    moved[:, 1, WRIST] = 0.0
+    assert moved.max() < 1e-3
+    with pytest.raises(InputError, match="chest is no keypoint of the layout 'coco17'"):
+        drag(Dragged(1, PAIR17.index("chest"), before[13][1, WRIST], is_last=True))
+    (saved,) = find_videos(FilmOptions(id="walk", path=film, keys=editor.save()))
+    frames = saved.read()
     row = np.flatnonzero((frames.frame == 13) & (frames.person_id == 1))[0]
-    own = KEYPOINT_LAYOUTS["coco17"].keypoint_names.index("left_wrist")
+    joint = KEYPOINT_LAYOUTS["coco17"].keypoint_names.index("left_wrist")
     assert frames.status is not None
-    assert frames.status[row, own] == KeypointStatus.ANNOTATED
-    np.testing.assert_allclose(frames.keypoints_px[row, own], after[13][1, wrist], atol=0.01)
+    assert frames.status[row, joint] == KeypointStatus.ANNOTATED
+    np.testing.assert_allclose(frames.keypoints_px[row, joint], after[13][1, WRIST], atol=0.01)
 
 
 def test_a_video_beside_keypoints_is_their_film_where_it_has_their_size(tmp_path: Path) -> None:
@@ -760,11 +769,11 @@ def test_a_film_of_images_of_which_one_has_changed_is_not_shown(tmp_path: Path) 
     paths = [tmp_path / f"{number}.png" for number in range(3)]
     for path in paths:
         cv2.imwrite(str(path), np.full((8, 8, 3), 90, dtype=np.uint8))
-    told = {"num_given": 0, "num_networks": 0, "first_number": 0, "first_frame": 0, "is_constant_rate": True}
     files = tuple((path.name, user_file_digest(path)) for path in paths)
     ingest = {"videos": [{"id": "images", "path": str(tmp_path)}]}
     for last, is_shown in ((files[2], True), ((paths[2].name, "1" * 64), False)):
-        film = find_film(SimpleNamespace(parameters=told, files=(*files[:2], last)), ingest)  # type: ignore[arg-type]
+        manifest = SimpleNamespace(parameters=OF_FILM | {"num_given": 0}, files=(*files[:2], last))
+        film = find_film(manifest, ingest)  # type: ignore[arg-type]
         assert film is not None
         assert (film.image(2) is not None) is is_shown
 
@@ -773,16 +782,15 @@ def tree(store: Store) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in sorted(store.root.rglob("*"))}
 
 
-def test_looking_and_choosing_write_nothing_into_the_store(store: Store, tmp_path: Path) -> None:
+def test_looking_and_choosing_write_nothing_into_the_store(
+    store: Store, tmp_path: Path, open_viewer: OpenViewer
+) -> None:
     before = tree(store)
-    shown = Viewer(open_shelf(Store(store.root), "short"), choosing=Choosing(tmp_path / "curation.txt"))
-    try:
-        Editor(shown, tmp_path / "restarts")
-        shown.step(3)
-        shown.choices.decide("reject")
-        shown.describe_frame()
-    finally:
-        shown.stop()
+    shown = open_viewer(open_shelf(Store(store.root), "short"), choosing=Choosing(tmp_path / "curation.txt"))
+    Editor(shown, tmp_path / "restarts")
+    shown.step(3)
+    shown.choices.decide("reject")
+    shown.describe_frame()
     assert tree(store) == before
     assert "poses waltz" in (tmp_path / "curation.txt").read_text()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +47,10 @@ def artifacts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, dict[str
 
 
 @pytest.fixture
-def editor(artifacts: tuple[Store, dict[str, Manifest]], tmp_path: Path) -> Iterator[Editor]:
+def editor(artifacts: tuple[Store, dict[str, Manifest]], open_viewer: Callable[..., Viewer], tmp_path: Path) -> Editor:
     store, named = artifacts
     refs = [named[name].ref for name in ("annotations", "views", "seeds", "draws")]
-    viewer = Viewer(Shelf(store, refs))
-    yield Editor(viewer, tmp_path / "out", num_workers=3)
-    viewer.stop()
+    return Editor(open_viewer(Shelf(store, refs)), tmp_path / "out", num_workers=3)
 
 
 def begin(editor: Editor, table: str, row: int = 0) -> Viewer:
@@ -93,12 +91,11 @@ def test_a_joint_that_is_moved_keeps_the_bones_and_the_other_person_and_is_saved
 
 
 def test_nothing_moves_unless_it_is_asked_for_and_a_take_cannot_be_changed(
-    artifacts: tuple[Store, dict[str, Manifest]], editor: Editor
+    artifacts: tuple[Store, dict[str, Manifest]], editor: Editor, open_viewer: Callable[..., Viewer]
 ) -> None:
     viewer = begin(editor, "draws")
-    assert (editor._folder.visible, editor._restart.visible, editor._lift.visible, editor._next.visible) == (
-        True, True, False, False,
-    )  # fmt: skip
+    buttons = (editor._folder, editor._restart, editor._lift, editor._next)
+    assert [button.visible for button in buttons] == [True, True, False, False]
     assert editor._save.label == "Save as seed"
     editor._is_on.value = False
     editor._begin()
@@ -109,11 +106,7 @@ def test_nothing_moves_unless_it_is_asked_for_and_a_take_cannot_be_changed(
     begin(editor, "annotations")
     assert (editor._restart.visible, editor._lift.visible, editor._save.label) == (False, True, "Save the 2D poses")
     store, named = artifacts
-    of_take = Viewer(Shelf(store, [named["poses"].ref]))
-    try:
-        assert not Editor(of_take, editor.out)._folder.visible
-    finally:
-        of_take.stop()
+    assert not Editor(open_viewer(Shelf(store, [named["poses"].ref])), editor.out)._folder.visible
 
 
 def test_angles_out_of_range_are_named_up_to_a_few(editor: Editor, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,21 +181,19 @@ def test_2d_poses_are_lifted_again_as_they_are_now_beside_the_pair_of_before(
     assert editor._lift.label == "Lift again"
 
 
-def test_2d_poses_without_views_are_not_lifted(artifacts: tuple[Store, dict[str, Manifest]], tmp_path: Path) -> None:
+def test_2d_poses_without_views_are_not_lifted(
+    artifacts: tuple[Store, dict[str, Manifest]], open_viewer: Callable[..., Viewer], tmp_path: Path
+) -> None:
     store, named = artifacts
-    viewer = Viewer(Shelf(store, [named["annotations"].ref, named["draws"].ref]))
-    try:
-        editor = Editor(viewer, tmp_path)
-        begin(editor, "annotations")
-        with pytest.raises(InputError, match="the study has no views of these annotations, so they cannot be lifted"):
-            editor.lift()
-    finally:
-        viewer.stop()
+    editor = Editor(open_viewer(Shelf(store, [named["annotations"].ref, named["draws"].ref])), tmp_path)
+    begin(editor, "annotations")
+    with pytest.raises(InputError, match="the study has no views of these annotations, so they cannot be lifted"):
+        editor.lift()
 
 
 @pytest.mark.parametrize(("code", "word"), [(0, "done"), (3, "failed")])
 def test_a_restart_is_followed_and_its_draws_are_offered_in_a_part_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, word: str
+    tmp_path: Path, open_viewer: Callable[..., Viewer], monkeypatch: pytest.MonkeyPatch, code: int, word: str
 ) -> None:
     store, pairs_m = Store(tmp_path / "store"), pairs_of("one")
     draws = put_draws(store, "draws", pairs_m[:3], (put_seeds(store, pairs_m[:1]),), pairs_m[0])
@@ -211,9 +202,9 @@ def test_a_restart_is_followed_and_its_draws_are_offered_in_a_part_of_their_own(
     program.write_text(f'#!/bin/sh\necho "$@" > {said}\necho 1 of 2\n{waiting}\necho 2 of 2\necho\nexit {code}\n')
     program.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(program))
-    viewer = Viewer(Shelf(store, [draws.ref]))
+    viewer = open_viewer(Shelf(store, [draws.ref]))
+    editor = Editor(viewer, tmp_path / "out", num_workers=3)
     try:
-        editor = Editor(viewer, tmp_path / "out", num_workers=3)
         begin(editor, "draws", 1)
         editor.restart()
         wait_until(lambda: editor._progress.value == "1 of 2", "the first line", limit_s=20.0)
@@ -231,7 +222,6 @@ def test_a_restart_is_followed_and_its_draws_are_offered_in_a_part_of_their_own(
         wait_until(lambda: len(viewer.shelf.parts) == 3, "the draws", limit_s=20.0)
     finally:
         go.touch()
-        viewer.stop()
     assert editor._progress.value == f"{word}: 2 of 2"
     names = [part.name for part in viewer.shelf.parts if part.name.startswith("restart")]
     assert sorted(names) == [f"restart {seed.stem} {part} of {seed.name}" for part in ("first", "second")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,13 +34,12 @@ def scene_of(shelf: Shelf, table: str, item: int = 0) -> Scene:
 
 def test_a_lifted_pair_stands_before_the_capture_as_its_camera_saw_it_with_its_image(store: Store) -> None:
     _, videos, poses = put_truth(store)
-    rows = [
-        lifted_row(poses, "seen", 1, "fitted", 0.4) | {"expected_error_m": 0.21, "residual_m": 0.03},
-        lifted_row(poses, "hidden", 3, "fitted", 0.2) | {"expected_error_m": 0.12, "residual_m": 0.02},
-        lifted_row(poses, "seen", 2, "fitted", 0.2)
-        | {"sequence_id": "of nobody", "expected_error_m": 0.3, "residual_m": 0.04},
-    ]
-    lifted = put_lifted(store, "all", [row | {"num_joints_seen": 20 + at} for at, row in enumerate(rows)])
+    rows = [lifted_row(poses, name, at, "fitted", 0.3) for name, at in (("seen", 1), ("hidden", 3), ("seen", 2))]
+    rows[2]["sequence_id"] = "of nobody"
+    expected_m, residual_m = [0.21, 0.12, 0.3], [0.03, 0.02, 0.04]
+    for at, row in enumerate(rows):
+        row |= {"expected_error_m": expected_m[at], "residual_m": residual_m[at], "num_joints_seen": 20 + at}
+    lifted = put_lifted(store, "all", rows)
     shelf = Shelf(store, [lifted.ref], [video.ref for video in videos])
     scene = scene_of(shelf, "lifted_pairs")
     assert (scene.num_frames, scene.behind_name, scene.has_floor) == (3, "capture", False)
@@ -48,8 +48,8 @@ def test_a_lifted_pair_stands_before_the_capture_as_its_camera_saw_it_with_its_i
     true = poses["hidden"][4] @ TURNS["film hidden"].T
     np.testing.assert_allclose(scene.behind.frame(1), true - true.reshape(-1, 3).mean(axis=0), atol=1e-6)
     assert np.isnan(scene.behind.frame(2)).all(), "nobody knows who it was"
-    np.testing.assert_allclose(scene.curves["expected_error_m"], [0.21, 0.12, 0.3])
-    np.testing.assert_allclose(scene.curves["residual_m"], [0.03, 0.02, 0.04])
+    np.testing.assert_allclose(scene.curves["expected_error_m"], expected_m)
+    np.testing.assert_allclose(scene.curves["residual_m"], residual_m)
     assert scene.say(1) == ["film hidden frame 3, persons 0 and 1", "21 of 28 joints seen"]
     (flat,) = scene.images(1)
     assert (flat.title, flat.size_px, flat.skeleton) == ("film hidden frame 3", (640, 480), PAIR17)
@@ -94,8 +94,8 @@ def put_reconstruction(
     op14_m: np.ndarray | None = None,
 ) -> Manifest:
     """Commit what was reconstructed of the held-out take (frame, 2, 22, 3), the last frames first."""
-    frames = np.repeat(np.arange(FRAMES - 1), 2)[::-1]
-    persons = np.tile([0, 1], FRAMES - 1)[::-1]
+    frames, persons = np.repeat(np.arange(FRAMES - 1), 2)[::-1], np.tile([0, 1], FRAMES - 1)[::-1]
+    op14_m = np.zeros((FRAMES - 1, 2, 14, 3)) if op14_m is None else op14_m
     columns = random_columns("motions", len(frames)) | {
         "sequence_id": [name] * len(frames),
         "method": ["windows"] * len(frames),
@@ -103,7 +103,7 @@ def put_reconstruction(
         "frame": frames,
         "time_s": frames / RATE_HZ,
         "body22_m": found_m[frames, persons],
-        "op14_m": np.zeros((len(frames), 14, 3)) if op14_m is None else op14_m[frames, persons],
+        "op14_m": op14_m[frames, persons],
         "score_m": 0.1 * persons + 0.01 * frames,
         "match_take_id": [f"take {person}" for person in persons],
         "match_frame": (10 * frames).tolist(),
@@ -141,13 +141,11 @@ def test_a_reconstruction_stands_upright_before_the_capture_and_its_error_is_of_
     assert flat.title == "film hidden frame 2"
 
 
-def test_the_camera_of_a_reconstruction_is_where_its_people_are_seen_in_the_image(store: Store) -> None:
+def test_the_camera_of_a_reconstruction_is_known_where_its_video_is(store: Store) -> None:
     _, videos, poses = put_truth(store, "body22_m")
     motions = put_reconstruction(store, poses["hidden"][1:] @ TURNS["film hidden"].T, 0.0)
     without = scene_of(Shelf(store, [motions.ref]), "motions")
-    assert without.camera is None
-    assert without.behind is None
-    assert list(without.curves) == ["match_distance_m"]
+    assert (without.camera, without.behind, list(without.curves)) == (None, None, ["match_distance_m"])
     assert scene_of(Shelf(store, [motions.ref], [videos[1].ref]), "motions").camera is not None
 
 
@@ -221,18 +219,17 @@ def test_the_nearest_poses_of_its_database_stand_beside_a_reconstruction(
     assert alone.nearest(4) == []
 
 
-def test_2d_poses_stand_as_they_were_captured_until_they_are_asked_for(store: Store) -> None:
+def test_2d_poses_stand_as_they_were_captured_until_they_are_asked_for(
+    store: Store, open_viewer: Callable[..., Viewer]
+) -> None:
     _, videos, poses = put_truth(store, "body22_m")
-    viewer = Viewer(Shelf(store, [videos[0].ref]))
-    try:
-        np.testing.assert_allclose(viewer.scene.people.positions_m, poses["seen"][1:], atol=1e-6)
-        assert (viewer.scene.people.skeleton, viewer.scene.camera is None) == (BODY22, False)
-        viewer.wants_flat = True
-        viewer.show_item(0)
-        assert viewer.scene.people is viewer.scene.flat
-        assert (viewer.scene.people.skeleton, viewer.scene.camera) == (PAIR17, None)
-    finally:
-        viewer.stop()
+    viewer = open_viewer(Shelf(store, [videos[0].ref]))
+    np.testing.assert_allclose(viewer.scene.people.positions_m, poses["seen"][1:], atol=1e-6)
+    assert (viewer.scene.people.skeleton, viewer.scene.camera is None) == (BODY22, False)
+    viewer.wants_flat = True
+    viewer.show_item(0)
+    assert viewer.scene.people is viewer.scene.flat
+    assert (viewer.scene.people.skeleton, viewer.scene.camera) == (PAIR17, None)
 
 
 @pytest.mark.parametrize(

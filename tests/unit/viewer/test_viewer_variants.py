@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,14 +33,15 @@ LEVELS = {
 
 def put_variants(store: Store, take: Manifest) -> Manifest:
     each, count = 2 * NUM_FRAMES, len(SCALES)
+    frame = np.tile(np.repeat(np.arange(NUM_FRAMES), 2), count)
     rows = random_columns("variants", count * each) | {
         "take_id": [take.name] * count * each,
         "variant_id": np.repeat(list(SCALES), each).tolist(),
-        "frame": np.tile(np.repeat(np.arange(NUM_FRAMES), 2), count),
+        "frame": frame,
+        "time_s": frame / RATE_HZ,
         "person": np.tile([0, 1], count * NUM_FRAMES),
         "body22_m": np.concatenate([motion(0, NUM_FRAMES) + aside(at) for at in range(count)]).reshape(-1, 22, 3),
     }
-    rows["time_s"] = rows["frame"] / RATE_HZ
     frames = random_columns("variant_frames", count * NUM_FRAMES) | {
         "take_id": [take.name] * count * NUM_FRAMES,
         "variant_id": np.repeat(list(SCALES), NUM_FRAMES).tolist(),
@@ -69,10 +70,8 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Shelf:
 
 
 @pytest.fixture
-def viewer(shelf: Shelf) -> Iterator[Viewer]:
-    shown = Viewer(shelf)
-    yield shown
-    shown.stop()
+def viewer(shelf: Shelf, open_viewer: Callable[..., Viewer]) -> Viewer:
+    return open_viewer(shelf)
 
 
 def show(viewer: Viewer, name: str) -> None:
@@ -103,18 +102,15 @@ def test_failing_frames_come_by_turns_and_warnings_where_none_fails(viewer: View
     for name, found in (("A-uniform-0.80", [1, 4, 1]), ("A-uniform-1.20", [1, 5, 1])):
         show(viewer, name)
         viewer.play(True)
-        frames = []
-        for _ in found:
+        for frame in found:
             viewer.next_failing()
-            frames.append(viewer.frame)
-        assert (frames, viewer.is_playing) == (found, False)
-        assert viewer.panel.message.value == ""
+            assert (viewer.frame, viewer.is_playing, viewer.panel.message.value) == (frame, False, "")
     show(viewer, "none")
-    viewer.next_failing()
-    assert (viewer.frame, viewer.panel.message.value) == (0, "no frame of this item fails or has a warning")
-    viewer.scene = replace(viewer.scene, levels=None)
-    viewer.next_failing()
-    assert viewer.panel.message.value == "no frame of this item fails or has a warning"
+    for levels in (viewer.scene.levels, None):
+        viewer.panel.tell("")
+        viewer.scene = replace(viewer.scene, levels=levels)
+        viewer.next_failing()
+        assert (viewer.frame, viewer.panel.message.value) == (0, "no frame of this item fails or has a warning")
 
 
 def test_words_about_a_frame_name_its_verdict_its_figures_and_why_the_variant_fails(viewer: Viewer) -> None:
@@ -230,19 +226,20 @@ def client(width: int = 800, height: int = 600) -> Client:
 def test_browsers_look_at_the_people_from_where_they_are_told(viewer: Viewer) -> None:
     room = viewer.room
     (x, z), middle = room._across, room._middle
-    right, near = np.array([z, 0.0, -x]), np.array([x, 0.0, z])
-    for width, places in ((800, ((0.5, 0.7, 3.4), (0.5, -0.1, 0.0))), (400, ((0.0, 0.6, 7.0), (0.0, -2.4, 0.0)))):
+    axes = np.array([[z, 0.0, -x], [0.0, 1.0, 0.0], [x, 0.0, z]])  # across, up, away
+    for width, position, look_at in (
+        (800, (0.5, 0.7, 3.4), (0.5, -0.1, 0.0)),
+        (400, (0.0, 0.6, 7.0), (0.0, -2.4, 0.0)),
+    ):
         browser = client(width)
         room._aim(browser)
-        for value, (across, up, away) in zip((browser.camera.position, browser.camera.look_at), places, strict=True):
-            np.testing.assert_allclose(value, middle + across * right + away * near + [0.0, up, 0.0], atol=1e-9)
+        np.testing.assert_allclose(browser.camera.position, middle + position @ axes, atol=1e-9)
+        np.testing.assert_allclose(browser.camera.look_at, middle + look_at @ axes, atol=1e-9)
         assert browser.camera.fov == pytest.approx(np.radians(75.0))
     browser = client()
-    for name, (across, up, away) in {"side": (0, 0.4, 3.4), "front": (3.4, 0.4, 0), "top": (0, 3.4, 0.02)}.items():
+    for name, position in {"side": (0, 0.4, 3.4), "front": (3.4, 0.4, 0), "top": (0, 3.4, 0.02)}.items():
         room.view(browser, name)
-        np.testing.assert_allclose(
-            browser.camera.position, middle + across * right + away * near + [0.0, up, 0.0], atol=1e-9
-        )
+        np.testing.assert_allclose(browser.camera.position, middle + position @ axes, atol=1e-9)
         np.testing.assert_array_equal(browser.camera.look_at, middle)
 
 

@@ -19,22 +19,19 @@ from typing import Any
 
 import dask
 import numpy as np
-import psutil
 import pytest
 from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
 from distributed.utils import LoopRunner, sync
 from pydantic import ValidationError
 
-from flows.machine import GIB, cluster_settings, kernel_cache, memory_bytes, usable_cores, why_few
+from flows.machine import cluster_settings
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
-from storage_schema.durable import cache_folder
 from storage_schema.provenance import package_versions
 from tasks import lifting, reconstruction
 from tasks.chains import run as chains_run
 from tasks.evaluation import coverage
-from tasks.ingest.film.detector_files import NetworkAddress
 from tasks.rows import selection
 from tasks.shards import (
     ClusterError,
@@ -47,7 +44,6 @@ from tasks.shards import (
     connect,
     join_failures,
     run,
-    worker_environment,
 )
 from tasks.shards.profiles import ClusterProfile, cluster_class, read_profile, started
 from tasks.shards.running import _scheduler_is_there
@@ -455,92 +451,6 @@ def test_what_shards_keep_lasts_until_the_process_begins_with_another_stage(tmp_
     for shard, stage in zip(shards(num_takes=4, num_segments=1), stages, strict=True):
         run(run_with_it, replace(shard, stage=stage), str(tmp_path))
     assert calls == ["poses", "poses"]
-
-
-def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "/somewhere")
-    assert worker_environment()["NUMBA_CACHE_DIR"] == "/somewhere"
-
-
-@pytest.mark.parametrize("home", ["unknown", "read-only", "a file"])
-def test_a_user_without_a_home_that_can_be_written_has_a_cache(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: str
-) -> None:
-    for name in ("NUMBA_CACHE_DIR", "PASDEDEUX_CACHE", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK or str(path).startswith(str(tmp_path)))
-    if home == "unknown":
-        monkeypatch.delenv("HOME", raising=False)
-        monkeypatch.setattr("os.path.expanduser", lambda path: path)
-    else:
-        (tmp_path / "a file").touch()
-        monkeypatch.setenv("HOME", str(tmp_path / "a file") if home == "a file" else "/proc")
-    cache = tmp_path / f"pasdedeux-{os.getuid()}"
-    assert cache_folder() == cache
-    assert worker_environment()["NUMBA_CACHE_DIR"] == str(cache / "numba")
-    assert Store("s3://bucket/store").root.parent == cache / "stores"
-    assert NetworkAddress("https://a", "b").kept.parent == cache / "detectors"
-
-
-def test_kernels_are_kept_where_there_is_a_folder_with_room(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "new"))
-    assert kernel_cache() == (tmp_path / "new", "")
-    with monkeypatch.context() as full:
-        full.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1e6))
-        assert kernel_cache()[1] == f"the disk of {tmp_path / 'new'} has 1 MB left"
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    assert kernel_cache()[1] == f"{tmp_path / 'file'} cannot be written to: Not a directory"
-
-
-@pytest.mark.parametrize(
-    ("groups", "limits"),
-    [
-        ("0::/a/b\n", {"a/memory.max": "3221225472", "a/b/memory.max": "max", "a/b/cpu.max": "150000 100000"}),
-        ("\n0\n0::/\xff\n", {"memory.max": "3221225472", "cpu.max": "150000 100000"}),
-        (
-            "5:memory:/a/b\n4:cpu,cpuacct:/a\n0::/\n",
-            {
-                "memory/memory.limit_in_bytes": "3221225472",
-                "cpu,cpuacct/a/cpu.cfs_quota_us": "150000",
-                "cpu,cpuacct/a/cpu.cfs_period_us": "100000",
-                "cpu,cpuacct/cpu.cfs_quota_us": "-1",
-                "cpu,cpuacct/cpu.cfs_period_us": "100000",
-            },
-        ),
-    ],
-)
-def test_workers_keep_to_the_limits_of_a_container(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, groups: str, limits: dict[str, str]
-) -> None:
-    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(8))
-    monkeypatch.setattr("os.sysconf", lambda _: 1024**3)
-    monkeypatch.setattr("flows.machine._GROUPS", tmp_path / "cgroup")
-    monkeypatch.setattr("flows.machine._GROUP_LIMITS", tmp_path)
-    assert (usable_cores(), cluster_settings(None).num_workers, why_few(cluster_settings(None))) == (8, 8, "")
-    (tmp_path / "cgroup").write_text(groups, encoding="latin-1")
-    for name, limit in limits.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(limit + "\n")
-    assert (usable_cores(), memory_bytes()) == (2, 3 * GIB)
-    assert cluster_settings(None).num_workers == 1
-    said = why_few(cluster_settings(None))
-    assert said == "; there is memory for no more: 3.0 GB, and 2 GB for each worker (--worker-memory)"
-    assert why_few(cluster_settings(None, 1.5)) == ""
-
-
-def test_where_the_system_does_not_tell_its_memory_there_is_a_worker_for_each_core(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(name: str) -> int:
-        raise ValueError(f"unrecognized configuration name: {name}")
-
-    monkeypatch.setattr("flows.machine._GROUPS", tmp_path / "cgroup")
-    assert memory_bytes() == pytest.approx(psutil.virtual_memory().total, rel=0.01)
-    monkeypatch.setattr("os.sysconf", refuse)
-    monkeypatch.setattr("flows.machine.usable_cores", lambda: 8)
-    assert (memory_bytes(), cluster_settings(None).num_workers, why_few(ClusterSettings(3))) == (None, 8, "")
 
 
 def test_a_call_that_is_cancelled_on_its_way_says_that_the_scheduler_is_gone() -> None:

@@ -9,16 +9,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from flows.viewing import kinds
-from flows.viewing.curves import plot_curves
+from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
+from flows.viewing.curves import plot_curves, time_strip
 from flows.viewing.room import _ball, _grid, _pale, _surface, across
+from flows.viewing.scene import Grid, People
 from flows.viewing.shelf import Shelf
 from flows.viewing.side import PAPER
 from flows.viewing.viewer import Viewer
 from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
-from pasdedeux.skeletons import OP14
+from pasdedeux.plausibility.capsules import standing_m
+from pasdedeux.skeletons import BODY22, OP14
 from storage_schema import Store
+from tests.builders.moving_pairs import swaying_pair
 from tests.builders.stored_datasets import put_clips
 
 
@@ -133,3 +138,76 @@ def test_rods_and_balls_are_round_and_closed_and_their_triangles_look_outward(si
 
 def test_colours_are_darker_than_asked_for_but_black_and_white() -> None:
     assert _pale(np.array([0, 100, 255])).tolist() == [0, int(255 * (100 / 255) ** 1.5), 255]
+
+
+def test_a_rod_reaches_from_one_end_of_its_capsule_to_the_other() -> None:
+    rng = np.random.default_rng(1)
+    ends = rng.normal(size=(40, 2, 3))
+    ends[0] = [[0, 0, 1], [0, 0, 0]]  # straight down its own axis
+    ends[1, 1] = ends[1, 0]  # a bone without length
+    ends[2] = np.nan
+    found = capsules(ends, np.full(40, 0.1))
+    turns = Rotation.from_quat(found.rods_wxyz[:, [1, 2, 3, 0]])
+    half = turns.apply(np.outer(found.rods_scale[:, 2], [0.0, 0.0, 0.5]))
+    there = np.stack([found.rods_m - half, found.rods_m + half], axis=1)
+    kept = np.arange(40) != 2
+    np.testing.assert_allclose(there[kept], ends[kept], atol=2e-6)
+    assert (found.balls_scale.reshape(40, 2)[2] == 0.0).all(), "who is not there has no size"
+
+
+def test_bodies_that_overlap_are_marked_between_their_bones_and_far_ones_nowhere() -> None:
+    pair = swaying_pair(1, apart_m=0.3)[0]
+    pair[1, :, 0] += 0.07  # limbs cross, none lies along another
+    radii = Bodies(People(BODY22, pair[None])).radii_m
+    _, through = marks(BODY22, pair, radii)
+    assert len(through) > 3
+    parents = np.maximum(BODY22.parents, 0)
+    for person in pair:
+        ends, bones = person[parents], person - person[parents]
+        reach = ((through[:, None] - ends) * bones).sum(axis=-1) / np.maximum((bones**2).sum(axis=-1), 1e-12)
+        nearest = ends + np.clip(reach, 0.0, 1.0)[..., None] * bones
+        away = np.linalg.norm(through[:, None] - nearest, axis=-1)
+        assert (away - radii.max(axis=0)).min(axis=1).max() < 0.015, (
+            "the middle of two axes, of a thick and a thin limb"
+        )
+    pair[1, :, 2] += 5.0
+    assert not len(marks(BODY22, pair, radii)[1])
+
+
+def test_rows_in_any_order_become_frames_of_people_and_who_is_missing_is_not_drawn() -> None:
+    grid = Grid.of(np.array([7, 5, 5]), np.array([3, 3, 1]))
+    assert grid.fill(np.array([70.0, 53.0, 51.0])).tolist()[0] == [51.0, 53.0]
+    assert np.isnan(grid.fill(np.array([70.0, 53.0, 51.0]))[1, 0])
+    assert grid.first(np.array([70.0, 53.0, 51.0])).tolist() == [53.0, 70.0]
+
+
+def turned_pair(angle_rad: float, away_m: float) -> People:
+    """Return two T-poses side by side on a line that is turned about the vertical, (2, 2, 22, 3)."""
+    one = 1.7 * standing_m(BODY22)
+    pair = np.stack([one, one + np.array([away_m, 0.0, 0.0])])
+    turn = Rotation.from_rotvec([0.0, angle_rad, 0.0]).as_matrix()
+    return People(BODY22, np.stack([pair @ turn.T, (pair + np.array([0.0, 0.0, 9.0])) @ turn.T]))
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.5, 2.0, -2.5])
+def test_the_first_view_is_across_the_line_between_two_people(angle_rad: float) -> None:
+    people = turned_pair(angle_rad, 2.5)
+    line = people.positions_m[0, 1, 0] - people.positions_m[0, 0, 0]
+    direction = across(people)
+    assert abs(line[[0, 2]] @ direction) < 1e-6
+    assert np.linalg.norm(direction) == pytest.approx(1.0)
+    np.testing.assert_array_equal(across(People(BODY22, people.positions_m[:, :1])), [0.0, 1.0])
+
+
+def test_the_gap_between_two_bodies_is_that_of_their_surfaces_and_negative_within_each_other() -> None:
+    wide, near = surface_gap_curve(turned_pair(0.3, 2.5)), surface_gap_curve(turned_pair(0.3, 0.1))
+    assert wide is not None
+    assert near is not None
+    assert wide.shape == (2,)
+    assert 0.3 < wide[0] < 2.5
+    assert near[0] < 0.0
+    assert surface_gap_curve(People(BODY22, turned_pair(0.0, 1.0).positions_m[:, :1])) is None
+    strip = time_strip(np.ones((2, 2), bool), None, np.array([0.5, -0.05]))
+    assert strip is not None
+    assert [tuple(strip[0, at]) for at in (0, -1)] == [(250, 250, 250), (220, 20, 60)]
+    assert time_strip(np.ones((2, 2), bool), None, None) is None

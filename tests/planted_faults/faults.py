@@ -358,7 +358,7 @@ FAULTS = (
     Fault("the record has the order of finishing", "flows/building.py",
           "tuple(self._made[item.shard.key] for item in work.plan.shards)",
           "tuple(m for m in self._made.values() if m.ref.stage == stage.name)", "unit/flows/test_flows_execution.py::"
-          "test_neither_the_number_of_workers_nor_the_order_of_finishing_changes_anything"),
+          "test_workers_and_finishing_order_change_nothing"),
     Fault("a shard computes with all threads", "tasks/shards/running.py", ".limit(limits=1)", ".limit(limits=None)",
           "fault/test_real_study_recovery.py::"
           "test_a_shard_computes_with_one_thread_whatever_its_process_was_started_with"),
@@ -388,7 +388,7 @@ FAULTS = (
           "unit/flows/test_flows_publishing.py::test_a_part_of_a_study_is_not_published"),
     Fault("rerun finds nothing beyond rounding", "storage_schema/comparison.py",
           "return not self.largest <= self.allowed", "return False",
-          "unit/flows/test_flows_rerunning.py::test_results_beyond_their_tolerance_are_named_by_table_and_column_with_the_reason"),
+          "unit/flows/test_flows_rerunning.py::test_differences_beyond_tolerance_are_named_with_the_reason"),
     Fault("rerun takes files that have changed", "flows/console/rerun.py",
           "if before is not None and (Path", "if before is None and (Path",
           "unit/flows/test_flows_rerunning.py::test_an_input_that_has_changed_is_refused_before_any_work"),
@@ -410,7 +410,7 @@ FAULTS = (
           "unit/flows/test_flows_publishing.py::test_nothing_new_makes_no_new_version"),
     Fault("a changed licence is no new version", "flows/publishing.py", " and before.sources == sources", "",
           "unit/flows/test_flows_licences.py::"
-          "test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after"),
+          "test_another_licence_is_a_new_version_and_reaches_exports"),
     Fault("credits are those of the time when data were made", "storage_schema/licences.py",
           "for last_run in _last_runs(store)]", "for last_run in ()]",
           "unit/storage/test_storage_store.py::test_a_licence_that_a_study_says_anew_reaches_what_was_made_before"),
@@ -424,7 +424,7 @@ FAULTS = (
     Fault("an export of a version has the credits of today", "storage_schema/references.py",
           "    if reference.dataset:\n        return open_dataset(store, reference.dataset).sources\n", "",
           "unit/flows/test_flows_licences.py::"
-          "test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after"),
+          "test_another_licence_is_a_new_version_and_reaches_exports"),
     Fault("a page keeps the credits it was made with", "tasks/evaluation/report.py",
           "sources = merge_credits(*(manifest.sources for manifest in every.values()))", "sources = ()",
           "contract/test_evaluation_topics.py::test_another_licence_of_the_same_data_is_another_page"),
@@ -433,7 +433,7 @@ FAULTS = (
           "contract/test_export_formats.py::test_an_export_beside_another_keeps_its_credits"),
     Fault("an export joins any id to a path", "flows/exports/export_format.py",
           "if not is_plain_name(str(part)):", "if not str(part):",
-          "unit/flows/test_exporting.py::test_names_of_variants_and_sequences_that_lead_elsewhere_are_refused"),
+          "unit/flows/test_exporting.py::test_names_that_lead_elsewhere_are_refused"),
     # The store
     Fault("a manifest goes to the bucket before its data", "storage_schema/bucket_store.py",
           "        self.remote.at_once(lambda sha256: self.remote.write(",
@@ -449,10 +449,10 @@ FAULTS = (
           "contract/test_stores.py::TestBucketStore::test_who_commits_second_gets_what_is_there"),
     Fault("files do not reach the disk before their folder has its name", "storage_schema/durable.py",
           "os.fsync(self._file.fileno())", "pass",
-          "unit/storage/test_storage_store.py::test_everything_is_on_the_disk_before_an_artifact_has_its_name"),
+          "unit/storage/test_storage_store.py::test_data_are_on_the_disk_before_an_artifact_has_its_name"),
     Fault("a folder does not reach the disk before it has its name", "storage_schema/store.py",
           "                sync_folder(staging.path)\n", "",
-          "unit/storage/test_storage_store.py::test_everything_is_on_the_disk_before_an_artifact_has_its_name"),
+          "unit/storage/test_storage_store.py::test_data_are_on_the_disk_before_an_artifact_has_its_name"),
     Fault("a file cut short is whole", "storage_schema/folder_store.py", ".st_size == size", ".st_size > -1",
           "unit/storage/test_storage_store.py::test_a_damaged_artifact_is_not_found_and_a_new_commit_heals_it"),
     Fault("a table of other columns is whole", "storage_schema/store.py",
@@ -496,7 +496,7 @@ FAULTS = (
           "test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_goes"),
     Fault("gc goes on beside a run", "flows/collecting.py", "in_use(store, alone=True)", "in_use(store)",
           "unit/flows/test_flows_collecting.py::"
-          "test_nothing_is_removed_while_a_run_is_planned_and_a_run_waits_for_the_end_of_removing"),
+          "test_gc_and_runs_exclude_each_other"),
     Fault("a lease is not renewed", "storage_schema/bucket_store.py",
           "for do in (self._lease.renew, self._push_records)",
           "for do in (self._push_records,)",

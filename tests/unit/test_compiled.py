@@ -91,10 +91,8 @@ def test_a_kernel_calls_kernels_inlines_them_and_calls_itself() -> None:
     assert twice(3) == 6.0  # also once it is known to have been called by another
 
 
-def test_a_kernel_that_calls_itself_with_another_type_does_not_wait_for_itself(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))  # loaded from a cache, it crashes
+@pytest.mark.usefixtures("_new_cache")  # loaded from a cache, it crashes
+def test_a_kernel_that_calls_itself_with_another_type_does_not_wait_for_itself() -> None:
     assert halvings(8) == 3
 
 
@@ -153,65 +151,61 @@ def kernel(folder: Path, factor: float = 2.0) -> Any:
     return module.scale
 
 
+@pytest.fixture
+def _new_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let numba keep its code in a folder of the test."""
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+
+
 def num_hits(scale: Any) -> int:
     return sum(scale._made.stats.cache_hits.values())
 
 
+@pytest.mark.usefixtures("_new_cache")
 @pytest.mark.parametrize("is_killed", [False, True])
-def test_code_of_an_older_source_is_never_loaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_killed: bool
-) -> None:
+def test_old_code_is_never_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_killed: bool) -> None:
     """Numba renews its index before the code: a full disk, or a kill, may leave one without the other."""
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
     assert kernel(tmp_path)(3.0) == 6.0
     with monkeypatch.context() as broken:
         broken.setattr(IndexDataCacheFile, "_save_data", (lambda *_: None) if is_killed else refuse)
         assert kernel(tmp_path, 20.0)(3.0) == 60.0
-    again = kernel(tmp_path, 20.0)
-    assert (again(3.0), num_hits(again)) == (60.0, 0)
-    again = kernel(tmp_path, 20.0)
-    assert (again(3.0), num_hits(again)) == (60.0, 1)
+    for hits in (0, 1):
+        again = kernel(tmp_path, 20.0)
+        assert (again(3.0), num_hits(again)) == (60.0, hits)
 
 
 def refuse(*_: object) -> None:
     raise OSError(28, "No space left on device")
 
 
+@pytest.mark.usefixtures("_new_cache")
 @pytest.mark.parametrize(
     "overloads", [b"cpasdedeux.compiled\nRenamed\n.", b"cpasdedeux.removed\nGone\n.", b"", b"\x80\x04K"]
 )
-def test_an_index_that_is_cut_off_or_names_a_type_that_is_gone_is_made_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overloads: bytes
-) -> None:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+def test_an_index_that_is_cut_off_or_names_a_type_that_is_gone_is_made_anew(tmp_path: Path, overloads: bytes) -> None:
     scale = kernel(tmp_path)
     assert scale(3.0) == 6.0
     files = scale._made._cache._cache_file
     Path(files._index_path).write_bytes(pickle.dumps(files._version) + overloads)
-    again = kernel(tmp_path)
-    assert (again(3.0), num_hits(again)) == (6.0, 0)
-    again = kernel(tmp_path)
-    assert (again(3.0), num_hits(again)) == (6.0, 1)
+    for hits in (0, 1):
+        again = kernel(tmp_path)
+        assert (again(3.0), num_hits(again)) == (6.0, hits)
 
 
-def test_two_versions_of_numba_keep_their_code_beside_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
-    here, hits = numba.__version__, []
-    for version in (here, "0.1", here, "0.1"):
+@pytest.mark.usefixtures("_new_cache")
+def test_two_versions_of_numba_share_a_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = numba.__version__
+    for version, hits in ((here, 0), ("0.1", 0), (here, 1), ("0.1", 1)):
         monkeypatch.setattr(numba, "__version__", version)
         scale = kernel(tmp_path)
-        assert scale(3.0) == 6.0
-        hits.append(num_hits(scale))
-    assert hits == [0, 0, 1, 1]
+        assert (scale(3.0), num_hits(scale)) == (6.0, hits)
 
 
+@pytest.mark.usefixtures("_new_cache")
 @pytest.mark.parametrize(("holder", "named"), [("4711", "process 4711"), ("", "another process")])
 def test_who_waits_long_for_another_process_says_for_which(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, holder: str, named: str
 ) -> None:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(compiling, "_PATIENCE_S", 0.02)
     assert kernel(tmp_path)(3.0) == 6.0
     (lock,) = (tmp_path / "cache").rglob("*.lock")
@@ -231,9 +225,7 @@ def test_who_waits_long_for_another_process_says_for_which(
     ]
 
 
-def test_a_lock_file_stays_open_until_who_it_is_locked_by_was_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_stays_open_until_its_holder_was_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the number of a process would be read from whatever file was opened next."""
     begun, may_read, sizes = Event(), Event(), list[int]()
 

@@ -43,9 +43,7 @@ def test_nothing_that_is_shown_drives_a_terminal_and_json_stays_the_same(text: s
 
 
 @pytest.mark.parametrize("text", ESCAPES)
-def test_escapes_in_notes_credits_tables_and_errors_are_written_out(
-    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_escapes_are_written_out_everywhere(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store = Store(tmp_path / "store")
     ref = commit_rows(store)
     if "\udc9b" not in text:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import Criterion, Items, figure_words, merge_verdicts
 from pasdedeux.verdict import Level, Verdict
-from storage_schema import Manifest, Store
+from storage_schema import Store
 from tasks.stage import Parameters, Shard
 from tasks.stage.committing import commit
 from tasks.stage.facts import Facts
@@ -34,18 +33,23 @@ def items(*, takes: Sequence[str], seconds: int, **values: float | np.ndarray) -
     return Items(named, np.repeat(takes, seconds).tolist(), times_s)
 
 
-def verdict_on(some: Items) -> Verdict:
-    found = CRITERION.verdict(some, BASELINES)
-    assert found is not None
-    return found
+def verdict_on(some: Items, criterion: Criterion = CRITERION) -> Verdict:
+    verdict = criterion.verdict(some, BASELINES)
+    assert verdict is not None
+    return verdict
+
+
+def merged(verdicts: Iterable[Verdict]) -> Verdict:
+    verdict = merge_verdicts(verdicts)
+    assert verdict is not None
+    return verdict
 
 
 def test_a_verdict_comes_back_from_json_as_it_was() -> None:
     verdict = Verdict(Level.WARN, "drifts", "contact drift", 0.01, "m", 0.2, "plain forward kinematics", 3, "variants")
     compared = verdict_on(items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2))
-    for one in (verdict, compared, merge_verdicts([verdict, compared])):
-        assert one is not None
-        assert Verdict.from_json(json.loads(json.dumps(one.to_json(), sort_keys=True))) == one
+    for given in (verdict, compared, merged([verdict, compared])):
+        assert Verdict.from_json(json.loads(json.dumps(given.to_json(), sort_keys=True))) == given
     bare = Verdict.from_json(Verdict(Level.PASS).to_json())
     assert bare.level is Level.PASS
     assert math.isnan(bare.value)
@@ -91,30 +95,28 @@ def test_a_difference_of_less_than_one_percent_does_not_matter_however_certain(f
     assert close.baseline_name == in_words("lifting")
 
 
-def test_of_several_baselines_that_is_named_which_decides() -> None:
-    some = items(takes=["a"], seconds=12, fitted=0.95, lifting=1.0, mean_pair=0.955)
-    found = verdict_on(some)
-    assert (found.level, found.baseline_name) == (Level.WARN, in_words("mean_pair"))
-    lost = verdict_on(items(takes=["a"], seconds=12, fitted=0.95, lifting=0.9, mean_pair=0.949))
-    assert (lost.level, lost.baseline_name) == (Level.FAIL, in_words("lifting"))
+@pytest.mark.parametrize(
+    ("lifting", "mean_pair", "level", "name"),
+    [(1.0, 0.955, Level.WARN, "mean_pair"), (0.9, 0.949, Level.FAIL, "lifting")],
+)
+def test_the_deciding_baseline_is_named(lifting: float, mean_pair: float, level: Level, name: str) -> None:
+    found = verdict_on(items(takes=["a"], seconds=12, fitted=0.95, lifting=lifting, mean_pair=mean_pair))
+    assert (found.level, found.baseline_name) == (level, in_words(name))
 
 
 def test_larger_may_be_better() -> None:
     criterion = replace(CRITERION, is_larger_better=True)
     for fitted, level in ((0.3, Level.PASS), (0.1, Level.FAIL)):
-        verdict = criterion.verdict(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2), BASELINES)
-        assert verdict is not None
-        assert verdict.level is level
+        assert verdict_on(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.2), criterion).level is level
 
 
 def test_a_bound_is_no_baseline_and_is_never_what_is_judged() -> None:
     known = items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2, real_frames=0.01)
     assert verdict_on(known).level is Level.PASS
-    unnamed = replace(CRITERION, methods=())
-    both = unnamed.verdict(replace(known, values={**known.values, "truth": np.zeros(12)}), BASELINES)
-    assert both is not None
-    assert both.paired is not None
-    assert (both.level, both.paired.method) == (Level.PASS, "fitted")
+    with_truth = replace(known, values={**known.values, "truth": np.zeros(12)})
+    unnamed = verdict_on(with_truth, replace(CRITERION, methods=()))
+    assert unnamed.paired is not None
+    assert (unnamed.level, unnamed.paired.method) == (Level.PASS, "fitted")
 
 
 def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> None:
@@ -146,9 +148,7 @@ def test_too_little_is_not_judged_and_never_counts_as_a_pass(some: Items, words:
     assert verdict.reason.startswith(words)
     summary = Summary([], [], {"lifting": verdict, "seeds": Verdict(Level.PASS)})
     assert summary.judgement == "1 not judged, 1 pass"
-    merged = merge_verdicts([replace(verdict, count=1), Verdict(Level.PASS)])
-    assert merged is not None
-    assert merged.level is Level.NOT_JUDGED
+    assert merged([replace(verdict, count=1), Verdict(Level.PASS)]).level is Level.NOT_JUDGED
 
 
 def test_many_images_of_a_second_are_one_block() -> None:
@@ -172,20 +172,17 @@ def test_a_part_of_which_nothing_is_held_out_changes_nothing() -> None:
 
 def test_a_limit_is_kept_or_broken() -> None:
     criterion = Criterion("switches", "identity switches a minute", "", "sequences", limit=1.0)
-    for value, level in ((1.0, Level.PASS), (1.5, Level.FAIL)):
-        verdict = criterion.verdict(Items({"followed": np.array([value])}, ["a"], [0.0]), ())
-        assert verdict is not None
-        assert (verdict.level, verdict.value, verdict.baseline) == (level, value, 1.0)
-    unknown = criterion.verdict(Items({"followed": np.array([np.nan])}, ["a"], [0.0]), ())
-    assert unknown is not None
-    assert (unknown.level, unknown.count) == (Level.NOT_JUDGED, 1)
+    for value, level in ((1.0, Level.PASS), (1.5, Level.FAIL), (np.nan, Level.NOT_JUDGED)):
+        verdict = verdict_on(Items({"followed": np.array([value])}, ["a"], [0.0]), criterion)
+        assert (verdict.level, verdict.count) == (level, 1)
+        if level is not Level.NOT_JUDGED:
+            assert (verdict.value, verdict.baseline) == (value, 1.0)
 
 
 def test_many_verdicts_become_the_worst_with_its_share_and_the_mean_figure() -> None:
     found = [Verdict(Level.PASS, "", "drift", value, "m", 1.0, "plain", thing="variants") for value in (0.1, 0.2)]
     found.append(Verdict(Level.WARN, "too far", "drift", 0.9, "m", 4.0, "plain", thing="variants"))
-    verdict = merge_verdicts(found)
-    assert verdict is not None
+    verdict = merged(found)
     assert (verdict.level, verdict.reason, verdict.count, verdict.thing) == ("warn", "1 of 3: too far", 3, "variants")
     assert (verdict.value, verdict.baseline) == pytest.approx((0.4, 2.0))
     assert merge_verdicts([]) is None
@@ -207,37 +204,29 @@ OF_IMAGES = [
 @pytest.mark.parametrize("every", [OF_VARIANTS, OF_IMAGES], ids=["limits", "compared"])
 @pytest.mark.parametrize("size", [1, 2, 4, 100])
 def test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards(every: list[Verdict], size: int) -> None:
-    whole = merge_verdicts(every)
-    shards = [merge_verdicts(every[start : start + size]) for start in range(0, len(every), size)]
-    merged = merge_verdicts(reversed([one for one in shards if one is not None]))
-    assert whole is not None
-    assert merged is not None
-    assert (merged.value, merged.baseline) == pytest.approx((whole.value, whole.baseline), rel=1e-12)
-    plain = [replace(one, value=0.0, baseline=0.0, paired=None) for one in (merged, whole)]
+    whole = merged(every)
+    shards = [merged(every[start : start + size]) for start in range(0, len(every), size)]
+    joined = merged(reversed(shards))
+    assert (joined.value, joined.baseline) == pytest.approx((whole.value, whole.baseline), rel=1e-12)
+    plain = [replace(verdict, value=0.0, baseline=0.0, paired=None) for verdict in (joined, whole)]
     assert plain[0] == plain[1]
 
 
 def test_parts_that_are_too_small_to_be_judged_are_judged_together() -> None:
     parts = [verdict_on(items(takes=[take], seconds=6, fitted=0.1, lifting=0.2)) for take in ("a", "b")]
     assert {part.level for part in parts} == {Level.NOT_JUDGED}
-    whole = merge_verdicts(parts)
-    assert whole is not None
+    whole = merged(parts)
     assert (whole.level, whole.count) == (Level.PASS, 12)
 
 
-def made(store: Store, name: str, **judged: Verdict) -> Manifest:
-    shard = Shard("views", 1, "hug", name, Parameters())
-    return store.manifest(commit(shard, store, tables={}, facts=Facts(), verdict=judged["whole"]))
-
-
-def test_a_stage_and_its_summary_and_table_say_the_same(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
-    trust = [
-        Verdict(Level.PASS, "", "trust", value, count=count, thing="images") for value, count in ((0.9, 1), (0.5, 9))
-    ]
-    manifests = [made(store, str(at), whole=one) for at, one in enumerate(trust)]
+def test_a_stage_and_its_summary_and_table_say_the_same(store: Store) -> None:
+    manifests = []
+    for name, value, count in (("0", 0.9, 1), ("1", 0.5, 9)):
+        verdict = Verdict(Level.PASS, "", "trust", value, count=count, thing="images")
+        shard = Shard("views", 1, "hug", name, Parameters())
+        manifests.append(store.manifest(commit(shard, store, tables={}, facts=Facts(), verdict=verdict)))
     whole = stage_verdict(manifests)
     assert whole is not None
     assert (round(whole.value, 6), figure_words(whole)) == (0.54, "trust 0.54, mean of 10 images")
     assert summary_of(manifests).verdicts == {"views": whole}
-    assert [one.verdict for one in judge(manifests)] == [whole]
+    assert [judgement.verdict for judgement in judge(manifests)] == [whole]

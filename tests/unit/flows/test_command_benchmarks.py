@@ -37,9 +37,7 @@ def test_status_is_measured_on_a_store_of_that_many_artifacts(monkeypatch: pytes
     assert found.plain_per_s == 1.0, "the plain form reads one manifest for each artifact"
 
 
-def test_whole_commands_are_measured_only_where_they_are_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_whole_commands_run_only_if_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     measured: list[str] = []
 
     def counted(name: str) -> BenchmarkResult:
@@ -63,9 +61,7 @@ def test_a_demo_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch, invo
     assert last.endswith(" failed: no space is left")
 
 
-def test_an_installation_without_a_checkout_says_where_benchmarks_are(
-    monkeypatch: pytest.MonkeyPatch, invoke: CommandLine, tmp_path: Path
-) -> None:
+def test_benchmarks_need_a_checkout(monkeypatch: pytest.MonkeyPatch, invoke: CommandLine, tmp_path: Path) -> None:
     monkeypatch.setattr(bench, "_ROOT", tmp_path)
     assert invoke("bench", code=2).err == (
         "error: benchmarks are not installed: run this command in a checkout (`pip install --editable .`)\n"

@@ -104,39 +104,24 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, ArtifactRef,
     return store, ref, [bvh, first_frames(asf.to_motion(metres_per_unit=0.0254 / 0.45, rate_hz=30.0), 12)]
 
 
-def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], scale: float) -> ArtifactRef:
-    """Commit variants in which the bones of both have one scale and the directions that they have in the take."""
+def variants_of(store: Store, ref: ArtifactRef, variant: str, scale: float) -> str:
+    """Commit a variant in which the bones of both have one scale and the directions that they have in the take."""
     poses = store.read(ref, "poses")
     body = np.swapaxes(poses["body22_m"].astype(float).reshape(2, -1, 22, 3), 0, 1)
-    frames, count = len(body), len(names)
+    frames = len(body)
     lengths = scale * np.median(bone_lengths(BODY22, body), axis=0)
     scaled = place_bones(BODY22, body[:, :, 0], bone_directions(BODY22, body), lengths)
-    place = {
-        "take_id": [take for take, _ in names for _ in range(frames)],
-        "variant_id": [variant for _, variant in names for _ in range(frames)],
-        "frame": np.tile(np.arange(frames), count),
+    rows = random_columns("variants", 2 * frames) | {
+        "take_id": ["mix"] * 2 * frames,
+        "variant_id": [variant] * 2 * frames,
+        "frame": np.repeat(np.arange(frames), 2),
+        "person": np.tile([0, 1], frames),
+        "body22_m": scaled.reshape(-1, 22, 3),
     }
-    rows = {name: np.repeat(np.array(values), 2) for name, values in place.items()}
-    rows |= {"person": np.tile([0, 1], frames * count), "body22_m": np.tile(scaled.reshape(-1, 22, 3), (count, 1, 1))}
-    quality = {"take_id": [take for take, _ in names], "variant_id": [variant for _, variant in names]}
-    return store.commit(
-        stage="augmentation",
-        key=f"{len(names)}{round(100 * scale)}".ljust(64, "0"),
-        partition="mix",
-        name="mix",
-        version=1,
-        parameters={},
-        seed=0,
-        inputs=[ref],
-        files=[],
-        tables={
-            "variants": random_columns("variants", 2 * frames * count) | rows,
-            "variant_quality": random_columns("variant_quality", count)
-            | quality
-            | {"bone_scale": np.full((count, 44), scale), "verdict": ["pass"] * count},
-        },
-        facts={"kind": "variants", "take_id": "mix", "num_persons": 2, "num_frames": frames},
-    )
+    quality = {"take_id": ["mix"], "variant_id": [variant], "bone_scale": np.full((1, 44), scale), "verdict": ["pass"]}
+    tables = {"variants": rows, "variant_quality": random_columns("variant_quality", 1) | quality}
+    facts = {"kind": "variants", "take_id": "mix", "num_persons": 2, "num_frames": frames}
+    return f"variants@{put(store, 'augmentation', variant, tables, facts, (store.manifest(ref),)).ref.key}"
 
 
 def read_motion(path: Path, metres_per_unit: float = 0.01) -> Motion:
@@ -158,32 +143,24 @@ def assert_same(found: Motion, source: Motion) -> None:
     assert np.rad2deg(angle_between(turns[:, names], its_turns).max()) < 0.01
 
 
-def test_takes_and_variants_of_scale_one_are_the_source_itself(
-    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
-) -> None:
+def test_scale_one_exports_the_source_itself(taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path) -> None:
     store, ref, sources = taken
-    same = variants_of(store, ref, [("mix", "same")], 1.0)
     export_reference(store, f"poses@{ref.key}", "bvh", tmp_path / "take")
-    export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "variant")
+    export_reference(store, variants_of(store, ref, "same", 1.0), "bvh", tmp_path / "variant")
     for letter, source in zip("AB", sources, strict=True):
         for path in (tmp_path / "take" / f"mix.{letter}.bvh", tmp_path / "variant" / f"mix_same.{letter}.bvh"):
             assert_same(read_motion(path), source)
 
 
-def test_a_standing_rest_pose_keeps_positions_and_says_so(
-    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
-) -> None:
+def test_a_standing_rest_pose_keeps_positions(taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path) -> None:
     store, ref, _ = taken
-    small = variants_of(store, ref, [("mix", "small")], 0.8)
-    text = f"variants@{small.key}"
-    export_reference(store, text, "bvh", tmp_path / "own", units="source")
-    export_reference(store, text, "bvh", tmp_path / "tee", rest_pose="standing", units="m")
+    small = variants_of(store, ref, "small", 0.8)
+    export_reference(store, small, "bvh", tmp_path / "own", units="source")
+    export_reference(store, small, "bvh", tmp_path / "tee", rest_pose="standing", units="m")
     for letter, metres in (("A", 0.01), ("B", 0.0254 / 0.45)):
         name = f"mix_small.{letter}"
-        own, tee = (
-            read_motion(tmp_path / "own" / f"{name}.bvh", metres),
-            read_motion(tmp_path / "tee" / f"{name}.bvh", 1.0),
-        )
+        own = read_motion(tmp_path / "own" / f"{name}.bvh", metres)
+        tee = read_motion(tmp_path / "tee" / f"{name}.bvh", 1.0)
         assert own.skeleton == tee.skeleton
         np.testing.assert_allclose(own.world()[0], tee.world()[0], atol=1e-6)
         made = dict(np.load(tmp_path / "tee" / f"{name}.npz"))
@@ -197,7 +174,7 @@ def test_a_standing_rest_pose_keeps_positions_and_says_so(
     assert "a standing T-pose" in said
 
 
-def test_variants_leave_at_the_rate_of_the_source_where_that_is_asked_for(
+def test_variants_can_have_the_rate_of_the_source(
     taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
 ) -> None:
     store, ref, _ = taken
@@ -205,9 +182,9 @@ def test_variants_leave_at_the_rate_of_the_source_where_that_is_asked_for(
     rows, poses = ({name: table[name] for name in table.column_names} for table in read)
     facts = dict(store.manifest(ref).facts)
     fast = put(store, "ingest", "fast", {"takes": rows | {"source_rate_hz": [60.0] * 2}, "poses": poses}, facts).ref
-    same = variants_of(store, fast, [("mix", "B-uniform-0.90")], 0.9)
-    export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "study")
-    export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "source", rate="source")
+    same = variants_of(store, fast, "B-uniform-0.90", 0.9)
+    export_reference(store, same, "bvh", tmp_path / "study")
+    export_reference(store, same, "bvh", tmp_path / "source", rate="source")
     own, doubled = (read_bvh((tmp_path / one / "mix_B-0.90.B.bvh").read_bytes()) for one in ("study", "source"))
     assert (own.num_frames, doubled.num_frames) == (12, 23)
     assert "mix_B-0.90.B: 23 frames at 60 Hz, one unit" in (tmp_path / "source" / "UNITS.txt").read_text()
@@ -215,7 +192,7 @@ def test_variants_leave_at_the_rate_of_the_source_where_that_is_asked_for(
     both = [one.to_motion(metres_per_unit=0.01, rate_hz=hz, up_axis="y") for one, hz in ((own, 30.0), (doubled, 60.0))]
     np.testing.assert_allclose(both[1].world()[0][::2], both[0].world()[0], atol=1e-5)
     with pytest.raises(InputError, match="the rate can be chosen for files of motion of poses and variants"):
-        export_reference(store, f"variants@{same.key}", "npz", tmp_path / "no", rate="source")
+        export_reference(store, same, "npz", tmp_path / "no", rate="source")
 
 
 def test_a_motion_leaves_as_the_best_method_made_it_and_by_all_where_that_is_asked_for(tmp_path: Path) -> None:
@@ -233,42 +210,30 @@ def test_a_motion_leaves_as_the_best_method_made_it_and_by_all_where_that_is_ask
     ]
 
 
+LIFTED_PLACE = {"sequence_id": "s", "person_id": 0, "partner_id": 1}
+
+
 def test_the_product_of_lifted_pairs_is_the_best_method_of_each_annotation() -> None:
     made = ["fitted", "mean_pair", "over_time", "fitted", "completed", "fitted", "lifting"]
-    frames = np.array([0, 0, 0, 1, 1, 2, 3])
-    columns = random_columns("lifted_pairs", 7) | {
-        "method": made,
-        "frame": frames,
-        "sequence_id": ["s"] * 7,
-        "person_id": [0] * 7,
-        "partner_id": [1] * 7,
-    }
+    columns = random_columns("lifted_pairs", 7) | {name: [value] * 7 for name, value in LIFTED_PLACE.items()}
+    columns |= {"method": made, "frame": np.array([0, 0, 0, 1, 1, 2, 3])}
     rows = TableData(TABLES["lifted_pairs"], encode(TABLES["lifted_pairs"], columns))
     assert [made[row] for row in product_rows(rows)] == ["over_time", "completed", "fitted", "lifting"]
 
 
-def test_products_are_chosen_over_the_whole_table_and_not_batch_by_batch(tmp_path: Path) -> None:
+def test_products_are_chosen_over_the_whole_table(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     count = 2_500
-    columns = {name: values[:1] * (4 * count) for name, values in _lists(random_columns("lifted_pairs", 1)).items()} | {
+    one_row = random_columns("lifted_pairs", 1) | {name: [value] for name, value in LIFTED_PLACE.items()}
+    columns = {name: list(values) * (4 * count) for name, values in one_row.items()} | {
         "method": [method for method in ("mean_pair", "fitted", "over_time", "lifting_ik") for _ in range(count)],
         "frame": np.tile(np.arange(count), 4),
-        "sequence_id": ["s"] * (4 * count),
-        "person_id": [0] * (4 * count),
-        "partner_id": [1] * (4 * count),
     }
-    store = Store(tmp_path)
-    made = put(store, "lifting", "lifted", {"lifted_pairs": columns}, {"takes": []})
-    reference = f"lifted_pairs@{made.ref.key}"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tasks.data.iter_rows", lambda *_, **__: _batches(open_table(reference, store), 3_000))
-        pairs = Data(store).pairs(reference, all_methods=False)
-        some = Data(store).pairs(reference, count=5, all_methods=False)
+    reference = f"lifted_pairs@{put(store, 'lifting', 'lifted', {'lifted_pairs': columns}, {'takes': []}).ref.key}"
+    monkeypatch.setattr("tasks.data.iter_rows", lambda *_, **__: _batches(open_table(reference, store), 3_000))
+    pairs = Data(store).pairs(reference, all_methods=False)
     np.testing.assert_array_equal(pairs.rows, 2 * count + np.arange(count))
+    some = Data(store).pairs(reference, count=5, all_methods=False)
     assert some.rows.tolist() == [2 * count + at for at in (0, 625, 1250, 1874, 2499)]
-
-
-def _lists(columns: dict[str, Any]) -> dict[str, list[Any]]:
-    return {name: list(values) for name, values in columns.items()}
 
 
 def _batches(rows: TableData, size: int) -> Iterator[TableData]:
@@ -282,33 +247,29 @@ def test_names_that_join_to_the_same_give_files_of_their_own(tmp_path: Path) -> 
     assert found == ["a_b_c.A.npz", "a_b_c.A.2.npz"]
 
 
-def test_names_of_variants_and_sequences_that_lead_elsewhere_are_refused(
-    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
-) -> None:
+def test_names_that_lead_elsewhere_are_refused(taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path) -> None:
     store, ref, _ = taken
     out = tmp_path / "deep" / "out"
-    variants = variants_of(store, ref, [("mix", "../ESCAPED")], 0.95)
     with pytest.raises(InputError, match=r'^"../ESCAPED" is to be part of a file\'s name'):
-        export_reference(store, f"variants@{variants.key}", "bvh", out)
+        export_reference(store, variants_of(store, ref, "../ESCAPED", 0.95), "bvh", out)
     rows = rows_of(np.arange(5), body_of_walk(5), "../ESCAPED", 0, "fit")
     with pytest.raises(InputError, match=r'^"../ESCAPED" is to be part of a file\'s name'):
         exported(tmp_path, rows, {"pitch_deg": 0.0})
     assert not list(tmp_path.rglob("*ESCAPED*"))
 
 
-def test_people_of_another_export_keep_what_is_said_of_them(
-    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
-) -> None:
+def test_another_export_keeps_earlier_units(taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path) -> None:
     store, ref, _ = taken
     export_reference(store, f"poses@{ref.key}", "bvh", tmp_path)
-    small = variants_of(store, ref, [("mix", "smaller")], 0.85)
+    small = variants_of(store, ref, "smaller", 0.85)
     for _ in range(2):
-        export_reference(store, f"variants@{small.key}", "bvh", tmp_path, rest_pose="standing", units="m")
+        export_reference(store, small, "bvh", tmp_path, rest_pose="standing", units="m")
     lines = (tmp_path / "UNITS.txt").read_text().splitlines()[5:]
-    assert [line.partition(":")[0] for line in lines] == ["mix.A", "mix.B", "mix_smaller.A", "mix_smaller.B"]
-    assert [line.rpartition(" is ")[2] for line in lines] == ["that of the source's file"] * 2 + [
-        "a standing T-pose"
-    ] * 2
+    plain, standing = "that of the source's file", "a standing T-pose"
+    assert [(line.partition(":")[0], line.rpartition(" is ")[2]) for line in lines] == [
+        *(("mix.A", plain), ("mix.B", plain)),
+        *(("mix_smaller.A", standing), ("mix_smaller.B", standing)),
+    ]
 
 
 def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp_path: Path) -> None:

@@ -121,9 +121,7 @@ def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left", [AMC.encode()[:60], FIRST_FRAME])
-def test_a_damaged_file_that_is_there_is_brought_again_also_where_it_can_be_read(
-    left: bytes, site: Site, tmp_path: Path
-) -> None:
+def test_a_damaged_file_is_fetched_again_even_if_readable(left: bytes, site: Site, tmp_path: Path) -> None:
     fetch(site, tmp_path, "01")
     (tmp_path / "60_01.amc").write_bytes(left)
     assert [item.was_there for item in fetch(site, tmp_path, "01")] == [True, False]
@@ -137,9 +135,7 @@ def test_a_file_that_was_cut_off_is_asked_for_again(site: Site, tmp_path: Path) 
     assert site.requests.count(TAKE) == 3
 
 
-def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_whole(
-    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_half_written_file_is_not_kept(site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write = Path.write_bytes
     assert read_amc(FIRST_FRAME, read_asf(ASF)).num_frames == 1
 
@@ -158,9 +154,7 @@ def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_who
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
 
-def test_a_file_is_known_to_be_cmus_also_where_its_fetch_was_killed_as_it_came(
-    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_fetch_leaves_a_known_file(site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replace = Path.replace
 
     def killed(path: Path, target: Path) -> Path:
@@ -238,9 +232,7 @@ def test_no_message_has_words_of_the_answer(site: Site) -> None:
         ("0.0.0.0", False),
     ],
 )
-def test_a_public_name_that_stands_for_a_private_address_is_refused(
-    ip: str, is_public: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_of_a_private_address_is_refused(ip: str, is_public: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     assert is_public_ip(ip) is is_public
 
     class Line:

@@ -74,9 +74,7 @@ def store(store: Store, study: Path) -> Store:
     return store
 
 
-def test_unpacked_clips_go_when_nobody_used_them_for_so_long(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unused_unpacked_clips_go(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage_schema.unpacked.cache_folder", lambda: tmp_path / "cache")
     rows = np.zeros((3, 22, 3), np.float32)
     used, old = (
@@ -138,9 +136,7 @@ def test_a_run_of_some_stages_does_not_push_out_the_last_one_of_the_others(store
     assert list(find_garbage(store, NOW).kept_runs) == [last]
 
 
-def test_a_first_run_keeps_its_new_store_from_being_collected(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_first_run_protects_its_new_store(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = Store(tmp_path / "new")
 
     def collect_instead(*_: object, is_quiet: bool) -> None:
@@ -174,9 +170,7 @@ def test_what_runs_and_writers_of_the_last_days_left_stays(store: Store) -> None
     assert found.artifacts.going == (), "artifacts are young though their run is old"
 
 
-def test_a_dry_run_is_the_default_removes_nothing_and_counts_the_bytes_that_yes_frees(
-    store: Store, gc: CommandLine
-) -> None:
+def test_a_dry_run_is_the_default_and_counts_what_yes_frees(store: Store, gc: CommandLine) -> None:
     before = files(store.root)
     lines = gc().out.splitlines()
     assert "nothing was removed; --yes removes" in lines[-1]
@@ -191,9 +185,7 @@ def test_a_dry_run_is_the_default_removes_nothing_and_counts_the_bytes_that_yes_
     assert len(described["runs"]) == 2
 
 
-def test_a_damaged_manifest_that_nothing_needs_goes_and_a_record_that_cannot_be_read_stops_everything(
-    store: Store, gc: CommandLine
-) -> None:
+def test_an_unneeded_damaged_manifest_goes_a_damaged_record_stops_gc(store: Store, gc: CommandLine) -> None:
     stray = commit_rows(store)
     (store.folder(stray.stage, stray.key) / "manifest.json").write_text("{")
     collect(store, NOW)
@@ -254,9 +246,7 @@ def test_nothing_is_removed_while_a_run_is_in_progress(store: Store, running: Pa
     assert collect(store, NOW).going_runs.keys() >= {running.name}, "its process is gone"
 
 
-def test_nothing_is_removed_while_a_run_is_planned_and_a_run_waits_for_the_end_of_removing(
-    store: Store, study: Path, gc: CommandLine
-) -> None:
+def test_gc_and_runs_exclude_each_other(store: Store, study: Path, gc: CommandLine) -> None:
     with in_use(store), in_use(store):
         assert "a run plans or builds in the store" in gc("--yes", code=1).err
     codes: list[int] = []

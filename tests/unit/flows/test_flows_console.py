@@ -88,9 +88,7 @@ def test_a_run_answers_a_program_in_json(built: tuple[str, str], toys: CommandLi
 
 
 @pytest.mark.parametrize("name", ["run", "plan", "status"])
-def test_the_verdict_on_a_result_stands_in_every_table_and_in_json(
-    built: tuple[str, str], toys: CommandLine, name: str
-) -> None:
+def test_verdicts_are_in_every_table_and_in_json(built: tuple[str, str], toys: CommandLine, name: str) -> None:
     words = [name] if name == "status" else [name, built[0]]
     out = toys(*words).out
     (line,) = (line for line in out.splitlines() if line.split()[0].rstrip(":") == "judge" and "warn" in line)
@@ -165,9 +163,7 @@ def test_status_names_studies_stages_and_runs(toys: CommandLine) -> None:
     assert answer["runs"][-1]["status"] == "finished"
 
 
-def test_status_and_references_say_what_an_older_program_has_made(
-    store: Store, tmp_path: Path, invoke_toys: CommandLine
-) -> None:
+def test_artifacts_of_an_older_program_are_named(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
     run_toys(write_study(tmp_path), store.root)
     for path in store.root.glob("*/??/*/manifest.json"):
         path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": 1}))
@@ -177,9 +173,7 @@ def test_status_and_references_say_what_an_older_program_has_made(
     assert "of study 'toy' is of an older schema in the store" in toys("show", "models:toy", code=1).err
 
 
-def test_a_dataset_of_an_older_program_keeps_nobody_from_making_another(
-    store: Store, tmp_path: Path, invoke_toys: CommandLine
-) -> None:
+def test_a_dataset_of_an_older_program_blocks_nothing(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
     run_toys(write_study(tmp_path), store.root)
     (store.root / "datasets" / "old@1").mkdir(parents=True)
     (store.root / "datasets" / "old@1" / "dataset.json").write_text('{"schema_version": 1, "artifacts": []}')
@@ -199,9 +193,7 @@ def test_show_gives_columns_rows_lineage_and_sources(toys: CommandLine) -> None:
     assert toys("show", "training_log:toy/t1#7", "--json").json["rows"][0]["step"] == 2
 
 
-def test_show_ends_before_it_floods_and_says_how_to_see_more(
-    store: Store, tmp_path: Path, invoke_toys: CommandLine
-) -> None:
+def test_show_is_cut_and_says_how_to_see_more(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
     run_toys(write_study(tmp_path), store.root, "grow.num_takes=9")
     toys = invoke_toys.at(store)
     lines = toys("show", "training_log:toy").out.splitlines()
@@ -298,9 +290,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
 
 
 @pytest.mark.parametrize(("name", "code"), [("run", 0), ("deploy", 2)])
-def test_more_workers_than_cores_are_refused_unless_they_are_meant(
-    built: tuple[str, str], toys: CommandLine, name: str, code: int
-) -> None:
+def test_too_many_workers_need_an_option(built: tuple[str, str], toys: CommandLine, name: str, code: int) -> None:
     too_many = usable_cores() + 1
     command = toys.of(name, built[0], "--workers", too_many)
     assert f"--workers {too_many} is more than the cores" in command.refusal()
@@ -338,9 +328,7 @@ def test_studies_that_ship_are_listed_and_printed(invoke: CommandLine) -> None:
 @pytest.mark.parametrize(
     "chosen", ["--set aside.size=3", "--until bend", "--from grow --force bend", "--only grow --only aside"]
 )
-def test_the_next_command_that_is_printed_does_what_it_says(
-    tmp_path: Path, invoke_toys: CommandLine, chosen: str
-) -> None:
+def test_the_printed_command_keeps_all_options(tmp_path: Path, invoke_toys: CommandLine, chosen: str) -> None:
     words = [str(write_study(tmp_path)), "--store", str(tmp_path / "a store"), *chosen.split()]
     printed = invoke_toys("plan", *words).out.splitlines()[-1]
     assert Counter(shlex.split(printed.removeprefix("run it with: "))) == Counter(["pasdedeux", "run", *words])
@@ -369,9 +357,7 @@ def test_a_study_that_ships_runs_or_says_which_files_it_lacks_and_how_they_are_h
         assert re.search(r"`pasdedeux fetch [ \w-]+` brings them|--set ingest.pairs.\w+.folder", said)
 
 
-def test_what_is_there_of_a_study_without_its_evaluation_is_summed_up(
-    store: Store, tmp_path: Path, invoke_toys: CommandLine
-) -> None:
+def test_a_study_without_evaluation_is_summed_up(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
     run_toys(write_study(tmp_path), store.root)
     shutil.rmtree(store.root / "judge")
     out = invoke_toys.at(store)("status").out
@@ -387,7 +373,7 @@ def test_numbers_get_their_nouns_in_one_place(package: str) -> None:
     assert found == {}, "`counted` does it"
 
 
-def test_work_that_takes_long_says_that_it_goes_on_and_short_work_says_nothing(
+def test_only_long_work_says_that_it_goes_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with busy("reading"):

@@ -93,9 +93,7 @@ def test_the_flow_builds_what_is_missing_and_shows_each_stage_and_partition(tmp_
     assert (list(page.tables), page.names, page.texts) == (["pasdedeux-toy"], [run_id], {})
 
 
-def test_the_flow_shows_the_version_it_publishes_and_fails_where_a_verdict_forbids_it(
-    tmp_path: Path, page: Page
-) -> None:
+def test_the_flow_shows_the_published_version_or_fails_on_a_verdict(tmp_path: Path, page: Page) -> None:
     text = f'{STUDY}[publish]\nname = "released"\nrequired = ["judge"]\n'
     words = {"study": str(write_study(tmp_path, text)), "store": str(tmp_path / "store"), "workers": 0}
     dataset.fn(**words)
@@ -111,9 +109,7 @@ def test_the_flow_shows_the_version_it_publishes_and_fails_where_a_verdict_forbi
     assert len(page.tables["pasdedeux-toy"]) == 2, "what was built is shown all the same"
 
 
-def test_the_flow_fails_where_a_stage_that_is_asked_for_made_nothing(
-    tmp_path: Path, page: Page, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_flow_fails_if_a_stage_made_nothing(tmp_path: Path, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Outcome, "missing", property(lambda _: ("grow made nothing",)))
     with pytest.raises(NothingMadeError, match="grow made nothing"):
         dataset.fn(study=str(write_study(tmp_path)), store=str(tmp_path / "store"), workers=0)
@@ -203,9 +199,7 @@ class Prefect:
         return build_in_flow(run, plan, HerePool(str(run.store)), server)  # type: ignore[arg-type]
 
 
-def test_a_run_has_a_flow_on_a_server_of_its_own_that_nobody_starts_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_has_a_server_and_a_flow_without_retries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     prefect, server = Prefect(), Server()
     outcome = prefect.build(monkeypatch, write_study(tmp_path), server)
     assert outcome.num_computed == sum(NUM_SHARDS.values())
@@ -237,9 +231,7 @@ def test_on_a_users_server_the_one_of_the_run_is_ended(tmp_path: Path, monkeypat
     assert Prefect(address).build(monkeypatch, tmp_path / "toy.toml", None).num_computed == 0
 
 
-def test_an_error_of_the_build_comes_through_and_one_of_the_server_is_a_note(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_errors_of_the_build_fail_the_flow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study, gone = write_study(tmp_path), ConnectError("gone\nfor good")
     prefect = Prefect(error=gone)
     assert prefect.build(monkeypatch, study, Server()).num_computed > 0

@@ -55,9 +55,7 @@ def test_two_runs_differ_by_what_was_changed_between_them(runs: list[str], toys:
     assert max(map(len, out.splitlines())) < 120
 
 
-def test_a_run_of_a_part_has_the_licences_of_all_that_the_part_was_computed_from(
-    runs: list[str], tmp_path: Path, toys: CommandLine
-) -> None:
+def test_a_partial_run_has_all_licences_of_its_inputs(runs: list[str], tmp_path: Path, toys: CommandLine) -> None:
     part = StageSelection(only=("bend",), force=("bend",))
     settings = ("bend.step=1", f"grow.source={tmp_path / 'source.txt'}", "grow.num_takes=3", "grow.scale=2.0")
     last = run_toys(tmp_path / "toy.toml", tmp_path / "store", *settings, selection=part).run_id

@@ -158,9 +158,7 @@ EVERYBODY = [
 
 @settings(max_examples=6, deadline=None)
 @given(num_workers=st.integers(1, 6), order=st.lists(st.integers(0, 5), max_size=14))
-def test_neither_the_number_of_workers_nor_the_order_of_finishing_changes_anything(
-    undisturbed: Path, num_workers: int, order: list[int]
-) -> None:
+def test_workers_and_finishing_order_change_nothing(undisturbed: Path, num_workers: int, order: list[int]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = Path(folder) / "store"
         outcome = run_toys(write_study(Path(folder)), store, pool=ManyWorkers(store, num_workers, order))
@@ -222,9 +220,7 @@ def test_ctrl_c_breaks_off_what_the_run_waits_for(tmp_path: Path) -> None:
     assert not Waiting.has_waited
 
 
-def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_ends_the_run_as_failed(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[str] = []
 
     def find_no_room(shard: Shard, store: Store) -> ArtifactRef:
@@ -243,9 +239,7 @@ def test_a_full_disk_ends_the_work_at_once_and_the_run_is_on_record_as_failed(
 
 
 @pytest.mark.parametrize("is_on_cluster", [False, True])
-def test_a_thousand_shards_one_after_the_other_fail_as_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_on_cluster: bool
-) -> None:
+def test_a_thousand_shards_fail_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_on_cluster: bool) -> None:
     store, gates = tmp_path / "store", tmp_path / "gates"
     for folder in (store, gates):
         folder.mkdir()
@@ -421,9 +415,7 @@ def test_two_runs_at_once_in_one_store_end_with_the_same_artifacts(undisturbed: 
     assert len(names(store)) == len(EVERYBODY)
 
 
-def test_a_clock_that_jumps_changes_times_and_nothing_else(
-    undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_jumping_clock_changes_no_result(undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     jumps = itertools.cycle([timedelta(days=400), timedelta(days=-400), timedelta(hours=1)])
 
     class Jumping(datetime):

@@ -56,9 +56,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return build_store(tmp_path_factory.mktemp("store"))
 
 
-def test_files_being_written_by_another_process_become_lines_in_order(
-    video: Path, store: Store, tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_files_become_lines_while_written(video: Path, store: Store, tmp_path: Path, invoke: CommandLine) -> None:
     folder, out = tmp_path / "live", tmp_path / "lines" / "poses.jsonl"
     folder.mkdir()
     follow = invoke.of("reconstruct", folder, *reference(store), "--follow", "--out", out)
@@ -74,9 +72,7 @@ def test_files_being_written_by_another_process_become_lines_in_order(
     assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
 
 
-def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
-    video: Path, store: Store, tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_rotations_of_lines_give_the_joints(video: Path, store: Store, tmp_path: Path, invoke: CommandLine) -> None:
     out = tmp_path / "lines"
     statures = ("--stature", "1=1.5", "--stature", "1.9", "--stature", "7=1.2")
     said = invoke("reconstruct", video, *reference(store), "--follow", "--idle", "0", "--out", out, *statures).err
@@ -187,9 +183,7 @@ def test_no_second_signal_breaks_off_what_the_first_one_ends(number: signal.Sign
             signal.signal(ending, handler)
 
 
-def test_delays_count_from_when_a_file_came_and_at_the_earliest_from_when_following_began(
-    video: Path, store: Store, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_delays_count_from_arrival_or_start(video: Path, store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     manifest = next(iter(store.artifacts("projections")))
     database, _, _ = read_database(store, [manifest.ref])
     files = list(follow_folder(video, idle_s=-1.0))

@@ -42,9 +42,7 @@ def exported(toys: CommandLine, reference: str, folder: Path) -> set[str]:
     return set(re.findall(r"licence: (\S+)", (Path(out) / "CREDITS.txt").read_text()))
 
 
-def test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after(
-    study: Path, toys: CommandLine, tmp_path: Path
-) -> None:
+def test_another_licence_is_a_new_version_and_reaches_exports(study: Path, toys: CommandLine, tmp_path: Path) -> None:
     toys("run", study)
     assert exported(toys, "models:toy", tmp_path) == {OPEN}
     out = toys("run", study, *STRICTER).out
@@ -68,9 +66,7 @@ def test_a_part_of_a_run_with_the_same_content_leaves_no_mixture(study: Path, st
     assert {source.licence for source in made.sources} == {STRICT}
 
 
-def test_a_licence_reaches_what_is_still_there_of_an_older_source_as_it_would_be_the_same_of_the_new_one(
-    study: Path, toys: CommandLine, tmp_path: Path
-) -> None:
+def test_a_licence_reaches_results_of_an_equal_older_source(study: Path, toys: CommandLine, tmp_path: Path) -> None:
     """Values are rounded away: takes at another scale give the same models, and no score is computed again."""
     study.write_text(STUDY)
     toys("run", study)
@@ -78,9 +74,7 @@ def test_a_licence_reaches_what_is_still_there_of_an_older_source_as_it_would_be
     assert exported(toys, "scores:toy", tmp_path) == {STRICT}
 
 
-def test_studies_that_say_different_licences_of_the_same_files_have_their_own_each(
-    study: Path, store: Store, toys: CommandLine, tmp_path: Path
-) -> None:
+def test_licences_differ_by_study(study: Path, store: Store, toys: CommandLine, tmp_path: Path) -> None:
     second = study.with_name("other.toml")
     second.write_text(study.read_text().replace('"toy"', '"other"').replace('"released"', '"others"'))
     toys("run", study)
@@ -92,9 +86,7 @@ def test_studies_that_say_different_licences_of_the_same_files_have_their_own_ea
     assert exported(toys, "models:toy", tmp_path) == {OPEN, STRICT}, "what both have is under both licences"
 
 
-def test_what_came_with_a_dataset_has_the_licence_that_the_newest_says(
-    study: Path, store: Store, toys: CommandLine, tmp_path: Path
-) -> None:
+def test_the_newest_dataset_says_the_licence(study: Path, store: Store, toys: CommandLine, tmp_path: Path) -> None:
     """A store into which datasets were pulled has no runs: they alone know of a licence that was said anew."""
     for settings in ((), STRICTER):
         toys("run", study, *settings)
@@ -104,9 +96,7 @@ def test_what_came_with_a_dataset_has_the_licence_that_the_newest_says(
     assert exported(toys, "scores:released@1", tmp_path) == {OPEN}
 
 
-def test_no_dataset_is_made_of_a_report_that_says_an_old_licence(
-    store: Store, tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_a_report_with_an_old_licence_makes_no_dataset(store: Store, tmp_path: Path, invoke: CommandLine) -> None:
     study, create = tmp_path / "own.toml", invoke.of("dataset", "create", "all", "--study", "own").at(store)
     take = f'[[ingest.takes]]\nid = "walk"\nfiles = ["{write_walk(tmp_path)}"]\nrate_hz = 120\nlicence = '
     text = f'[study]\nname = "own"\nstages = ["ingest", "priors", "evaluation"]\n[ingest]\nrate_hz = 12.0\n{take}'

@@ -130,9 +130,7 @@ def test_a_preview_of_takes_ends_at_their_variants_and_one_of_2d_poses_goes_on(
     assert [run.selection.until for run in built] == [until]
 
 
-def test_a_preview_takes_the_seconds_in_which_people_are_nearest_to_each_other(
-    tmp_path: Path, invoke: CommandLine, built: list[Any]
-) -> None:
+def test_a_preview_shows_when_people_are_nearest(tmp_path: Path, invoke: CommandLine, built: list[Any]) -> None:
     """Or a high five that first touches at 6.3 s has ten variants with nothing to keep."""
     still, files = figure_motion(1, rate_hz=60.0), [tmp_path / f"walk_{letter}.bvh" for letter in "AB"]
     away_m = np.abs(np.arange(600) - 500) / 100.0  # nearest in frame 500, at 8.3 s
@@ -154,9 +152,7 @@ def test_a_preview_takes_the_seconds_in_which_people_are_nearest_to_each_other(
     assert planned[0].parameters.persons[0].num_frames == 240
 
 
-def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
-    store: Store, invoke: CommandLine, built: list[Any]
-) -> None:
+def test_a_preview_is_short_and_recorded_by_its_own_name(store: Store, invoke: CommandLine, built: list[Any]) -> None:
     words = f"run duets --store {store} --set publish.name=kept"
     assert invoke(*words.split(), "--preview").out == f"for the whole study: pasdedeux {words}\n"
     study = built[0].study
@@ -183,9 +179,7 @@ def test_values_of_a_row_are_rounded_and_long_arrays_are_their_shapes(value: obj
     assert _short(value) == shown
 
 
-def test_where_a_row_comes_from_is_named_artifact_by_artifact_with_its_files(
-    tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_the_lineage_of_a_row_is_shown_with_its_files(tmp_path: Path, invoke: CommandLine) -> None:
     store = Store(tmp_path / "store")
     first = commit_rows(store, "takes", 2, stage="ingest", partition="waltz", files=(("film.avi", "ab" * 32),))
     draws = commit_rows(store, "draws", 3, stage="chains", partition="ic", name="seed0", inputs=(first,))

@@ -107,9 +107,7 @@ def test_lost_files_are_missing_and_only_they_are_rebuilt(study: Path, store: Pa
     assert digests(store) == before
 
 
-def test_what_was_computed_from_what_is_gone_is_computed_again_though_the_like_of_it_is_there(
-    study: Path, store: Path
-) -> None:
+def test_results_of_lost_inputs_are_computed_again_even_if_equal_ones_are_there(study: Path, store: Path) -> None:
     """Licences are known through what something was computed from, and that has to be there."""
     run_toys(study, store)
     olds = list(Store(store).artifacts("grow"))
@@ -149,9 +147,7 @@ def test_until_from_and_only_choose_stages(study: Path, store: Path) -> None:
         assert (outcome.report is None) == ("judge" not in names)
 
 
-def test_changed_sources_under_the_same_version_are_a_warning(
-    study: Path, store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changed_sources_are_a_warning(study: Path, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_toys(study, store)
     assert plan_toys(study, store).warnings == ()
     monkeypatch.setattr("flows.planning.source_digest", lambda: "other")
@@ -179,9 +175,7 @@ def test_two_shards_with_one_key_are_refused(study: Path, store: Path) -> None:
         plan_toys(study, store, graph=toys_with("aside", plan=plan_twice))
 
 
-def test_a_forced_stage_that_gives_other_bytes_takes_its_place_and_what_follows_is_computed(
-    study: Path, store: Path, tmp_path: Path
-) -> None:
+def test_other_bytes_of_a_forced_stage_replace_the_old_ones(study: Path, store: Path, tmp_path: Path) -> None:
     run_toys(study, store, "bend.step=1")
     forced = StageSelection(force=("grow",))
     outcome = run_toys(study, store, "bend.step=1", selection=forced, graph=with_longer_steps())

@@ -72,9 +72,7 @@ def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:
 
 
 @pytest.mark.parametrize("said", ["echo the reason", "echo Traceback; echo ' the reason '; echo"])
-def test_a_server_that_cannot_start_is_named_with_its_last_words(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, said: str
-) -> None:
+def test_a_failed_start_quotes_the_last_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, said: str) -> None:
     broken = tmp_path / "python"
     broken.write_text(f"#!/bin/sh\n{{ {said}; }} >&2\nexit 7\n")
     broken.chmod(0o755)
@@ -146,9 +144,7 @@ def test_a_server_that_starts_is_waited_for_and_that_is_said(monkeypatch: pytest
         (("deploy", "--every", "60"), 200, "refuses the password (401 Unauthorized): set PREFECT_API_AUTH_STRING here"),
     ],
 )
-def test_a_users_server_that_is_ill_or_wants_a_password_is_one_sentence(
-    tmp_path: Path, words: tuple[str, ...], health: int, said: str
-) -> None:
+def test_an_ill_server_is_one_sentence(tmp_path: Path, words: tuple[str, ...], health: int, said: str) -> None:
     arguments = [words[0], str(write_study(tmp_path)), "--store", str(tmp_path / "store"), "--workers", "0", *words[1:]]
     with answering(health, 401) as address:
         ended = subprocess.run(
@@ -167,9 +163,7 @@ def test_a_users_server_that_is_ill_or_wants_a_password_is_one_sentence(
 @pytest.mark.parametrize(
     "kind", ["a file is in its place", "nothing can be made there", "nobody's home", "its database is closed"]
 )
-def test_where_prefects_folder_cannot_be_written_a_temporary_one_is_used_and_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
+def test_an_unwritable_home_is_replaced_and_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     home = tmp_path / "home"
     if kind == "a file is in its place":
         home.touch()
@@ -204,9 +198,7 @@ def test_a_run_builds_where_prefects_folder_cannot_be_written(tmp_path: Path, mo
     assert outcome.num_computed
 
 
-def test_the_terminal_is_given_back_where_a_users_server_does_not_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_terminal_is_given_back_after_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     closed = []
 
     class Closing(Listener):

@@ -38,9 +38,7 @@ def labels(store: Store) -> list[str]:
 
 
 @pytest.mark.parametrize("level", ["pass", "not judged", "warn"])
-def test_a_run_whose_verdicts_do_not_fail_becomes_a_version_of_all_it_made(
-    run: CommandLine, store: Store, level: str
-) -> None:
+def test_a_run_that_does_not_fail_becomes_a_version(run: CommandLine, store: Store, level: str) -> None:
     assert "released@1 is published" in run("--set", f"judge.level={level}").out
     (made,) = list_datasets(store)
     assert {ref.stage for ref in made.refs} == set(TOYS.names)
@@ -84,9 +82,7 @@ def test_a_rebuild_that_stopped_is_published_compared_rerun_and_built_upon(
     assert len(labels(store)) == 3
 
 
-def test_what_a_version_has_lost_is_published_anew_though_the_same_was_made_since(
-    run: CommandLine, store: Store, tmp_path: Path
-) -> None:
+def test_a_version_that_lost_files_is_published_anew(run: CommandLine, store: Store, tmp_path: Path) -> None:
     source = tmp_path / "source.txt"
     of_source = run.of("--set", f"grow.source={source}")
     source.write_text("once")

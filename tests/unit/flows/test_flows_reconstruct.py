@@ -137,9 +137,7 @@ def second_comes_later(text: str, number: int) -> str:
     return json.dumps(frame)
 
 
-def test_files_of_people_who_come_later_start_with_the_others(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_files_of_late_people_start_with_the_others(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     frames = {number: second_comes_later(path.read_text(), number) for number, path in list_frames(video)}
     folder, out = written(tmp_path / "late", frames), tmp_path / "out"
     reconstruct(folder, "--out", out)
@@ -155,9 +153,7 @@ def test_without_a_database_it_is_said_how_to_get_one(video: Path, store: Store,
     assert "no projections, which `reconstruct` needs as its database; `pasdedeux fetch database`" in said
 
 
-def test_the_height_of_the_camera_gives_people_their_size(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_camera_height_gives_people_their_size(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     sizes = []
     for height, stated in (("1.2", ["--height", "1.2"]), ("1.8", ["--set", "camera_height_m=1.8"])):
         reconstruct(video, "--out", tmp_path / height, *stated, *SIZE, "--pitch", "6")
@@ -166,9 +162,7 @@ def test_the_height_of_the_camera_gives_people_their_size(
     assert sizes[1] / sizes[0] == pytest.approx(1.5, rel=0.05)
 
 
-def test_who_is_who_is_written_and_a_changed_table_overrules_it(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_a_changed_table_of_people_overrules(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     assert "0 and 1 are partners" in reconstruct(video, *SIZE, "--out", tmp_path / "all").err
     header, *rows = (tmp_path / "all" / f"{video.name}_people.csv").read_text().splitlines()
     changed = tmp_path / "people.csv"
@@ -187,9 +181,7 @@ def test_who_is_who_is_written_and_a_changed_table_overrules_it(
     ("option", "value"),
     [("--set min_confidence", "=0"), ("--set people_file", "=a.csv"), ("--units", " m"), ("--height", " 1.5")],
 )
-def test_what_only_whole_videos_have_is_refused_live(
-    video: Path, reconstruct: CommandLine, option: str, value: str
-) -> None:
+def test_options_of_videos_are_refused_live(video: Path, reconstruct: CommandLine, option: str, value: str) -> None:
     said = reconstruct.refusal(video, "--follow", *f"{option}{value}".split())
     assert f"{option} is for whole videos; leave it out with --follow" in said
 
@@ -230,9 +222,7 @@ def padded(text: str) -> str:
 
 
 @pytest.mark.parametrize("mode", [[], ["--follow", "--idle", "0"]])
-def test_coco_18_in_files_of_25_keypoints_is_noticed(
-    video: Path, reconstruct: CommandLine, tmp_path: Path, mode: list[str]
-) -> None:
+def test_coco_18_as_body_25_is_noticed(video: Path, reconstruct: CommandLine, tmp_path: Path, mode: list[str]) -> None:
     frames = {number: padded(path.read_text()) for number, path in list_frames(video)}
     folder = written(tmp_path / "padded", frames)
     assert "'coco18' fits" in reconstruct.refusal(folder, *mode, "--out", tmp_path / "x")
@@ -247,9 +237,7 @@ def test_people_without_any_joint_are_nobody(reconstruct: CommandLine, tmp_path:
     assert len(lines.read_text().splitlines()) == 1
 
 
-def test_numbers_with_gaps_and_people_who_come_and_go_keep_their_frames(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_frames_keep_their_numbers_over_gaps(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     """Of every third frame of a faster camera three were lost; the second person comes later."""
     frames = {
         3 * number: second_comes_later(path.read_text(), number)
@@ -263,9 +251,7 @@ def test_numbers_with_gaps_and_people_who_come_and_go_keep_their_frames(
     assert seen == {0: sorted(frames), 1: [number for number in sorted(frames) if number >= 24]}
 
 
-def test_a_database_written_with_other_columns_is_refused(
-    video: Path, store: Store, tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_a_database_of_other_columns_is_refused(video: Path, store: Store, tmp_path: Path, invoke: CommandLine) -> None:
     copy = tmp_path / "store"
     shutil.copytree(store.root, copy)
     (path,) = copy.rglob("projections.parquet")
@@ -288,9 +274,7 @@ def results(video: Path) -> str:
     return json.dumps(items)
 
 
-def test_a_file_of_results_is_read_as_a_study_reads_it_and_what_was_assumed_is_said(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_a_file_of_results_says_what_was_assumed(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "clip.json"
     path.write_text(results(video))
     command = reconstruct.of(path, "--out", tmp_path / "out", "--pitch", "6")
@@ -315,9 +299,7 @@ def test_two_cameras_of_a_folder_are_two_sequences(video: Path, reconstruct: Com
     assert (out / "README.txt").read_text() == "of somebody else"
 
 
-def test_a_camera_in_which_nobody_remains_is_said_and_the_others_are_made(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_a_camera_without_people_is_skipped(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     folder, two_joints = tmp_path / "both", np.zeros((1, 14, 2))
     two_joints[0, :2] = 100.0
     written(folder, {number: path.read_text() for number, path in list_frames(video)}, "left")
@@ -331,9 +313,7 @@ def test_a_camera_in_which_nobody_remains_is_said_and_the_others_are_made(
     assert nobody in command.refusal()
 
 
-def test_a_sequence_of_a_file_in_which_nobody_remains_is_said_and_the_others_are_made(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_a_sequence_without_people_is_skipped(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     items = [{key: item[key] for key in ("image_id", "keypoints")} for item in json.loads(results(video))]
     left = [item | {"image_id": f"left_{item['image_id']}"} for item in items]
     ghost = {"keypoints": [100.0, 100.0, 0.9] * 2 + [0.0] * 45}
@@ -345,9 +325,7 @@ def test_a_sequence_of_a_file_in_which_nobody_remains_is_said_and_the_others_are
     assert "skipped: clip.right: no frame shows enough joints of a person" in said
 
 
-def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video(
-    video: Path, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_jumps_of_frame_numbers_are_gaps_in_time(video: Path, reconstruct: CommandLine, tmp_path: Path) -> None:
     """There is one person in the whole video, and only every second frame."""
     frames = {number: path.read_text() for number, path in list_frames(video)[:24]}
     alone = {1000 + number: json.loads(text) for number, text in frames.items() if number % 2 == 0}
@@ -376,9 +354,7 @@ def test_people_of_known_stature_come_out_that_tall() -> None:
     assert sized_by_stature(people, {}) == tuple(people)
 
 
-def test_a_study_makes_of_the_same_files_what_the_command_makes(
-    video: Path, store: Store, reconstruct: CommandLine, tmp_path: Path
-) -> None:
+def test_a_study_and_the_command_agree(video: Path, store: Store, reconstruct: CommandLine, tmp_path: Path) -> None:
     statures = ("--set", "statures_m=[[0, 1.75], [3, 1.6]]")
     # Of whom nothing else is stated, the person is 1.65 m tall.
     output = reconstruct(video, "--out", tmp_path, "--stature", "1.65", *SIZE, *statures)

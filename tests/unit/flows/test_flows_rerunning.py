@@ -96,16 +96,12 @@ def test_a_rerun_on_the_same_machine_gives_the_same_bytes(built: Store, rerun: C
     assert (answer["is_same"], answer["num_same_bytes"], answer["differing"]) == (True, 14, {}), "again, and fresh"
 
 
-def test_a_rerun_takes_settings_from_the_record_alone(
-    built: Store, rerun: CommandLine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rerun_ignores_the_environment(built: Store, rerun: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PASDEDEUX_SET__GROW__SCALE", "5")
     rerun(run_id(built))
 
 
-def test_a_rerun_of_a_part_builds_what_that_was_computed_from(
-    toys: CommandLine, rerun: CommandLine, tmp_path: Path
-) -> None:
+def test_a_rerun_of_a_part_builds_its_inputs(toys: CommandLine, rerun: CommandLine, tmp_path: Path) -> None:
     words = ("--set", f"grow.source={tmp_path / 'source.txt'}", "--only", "bend", "--force", "bend", "--json")
     part = toys("run", tmp_path / "toy.toml", *words).json["run_id"]
     assert "same bytes: 12 of 12 artifacts" in rerun(part).out
@@ -148,9 +144,7 @@ def test_paths_that_travel_keep_as_many_parts_as_tell_them_apart(tmp_path: Path)
     assert values == {"files": ["one/2d.json", "two/2d.json", "camera.toml", "b"], "rate": "1/s"}
 
 
-def test_what_a_dataset_was_not_computed_from_is_no_difference(
-    store: Store, tmp_path: Path, invoke_toys: CommandLine
-) -> None:
+def test_only_inputs_of_a_dataset_are_compared(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
     old = TOYS.stage("bend")
 
     def plan(inputs: StageInputs, parameters: Any) -> list[Shard]:
@@ -164,9 +158,7 @@ def test_what_a_dataset_was_not_computed_from_is_no_difference(
     assert "same bytes: 6 of 6 artifacts" in said
 
 
-def test_results_that_other_sources_left_in_the_other_store_are_said(
-    built: Store, rerun: CommandLine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_of_other_sources_are_said(built: Store, rerun: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "warning" not in rerun(run_id(built)).out
     monkeypatch.setattr("flows.planning.source_digest", lambda: "0" * 64)
     assert "had results of other sources, which were compared" in rerun(run_id(built)).out
@@ -192,9 +184,7 @@ def test_an_input_that_has_changed_is_refused_before_any_work(built: Store, reru
     assert not (tmp_path / "other").exists()
 
 
-def test_results_beyond_their_tolerance_are_named_by_table_and_column_with_the_reason(
-    built: Store, rerun: CommandLine
-) -> None:
+def test_differences_beyond_tolerance_are_named_with_the_reason(built: Store, rerun: CommandLine) -> None:
     environment = list_runs(built)[-1].path / "environment.json"
     values = json.loads(environment.read_text())
     values["packages"]["numpy"] = "1.0"

@@ -130,9 +130,7 @@ def test_what_is_wrong_in_a_sweep_is_said_with_its_full_path(tmp_path: Path, tex
         (None, "", "does not exist"),
     ],
 )
-def test_what_is_wrong_in_a_file_or_a_setting_is_one_sentence(
-    tmp_path: Path, text: str | None, setting: str, sentence: str
-) -> None:
+def test_wrong_input_is_one_sentence(tmp_path: Path, text: str | None, setting: str, sentence: str) -> None:
     path = tmp_path / "mine.toml"
     if text is not None:
         path.write_text(f"{text}\n")
@@ -202,7 +200,7 @@ def test_lists_of_an_extended_study_are_replaced_not_joined(tmp_path: Path) -> N
     assert section["rate_hz"] == 60
 
 
-def test_relative_paths_are_relative_to_the_file_that_says_them_and_those_of_settings_to_the_current_folder(
+def test_paths_are_relative_to_their_file_and_those_of_settings_to_the_current_folder(
     tmp_path: Path,
 ) -> None:
     path = chain_of(
@@ -231,9 +229,7 @@ def test_relative_paths_are_relative_to_the_file_that_says_them_and_those_of_set
         ({"a": "name = ", "mine": 'extends = "a.toml"'}, "study a.toml is not valid TOML"),
     ],
 )
-def test_a_study_that_extends_nothing_or_itself_is_one_sentence(
-    tmp_path: Path, texts: dict[str, str], sentence: str
-) -> None:
+def test_an_impossible_extension_is_one_sentence(tmp_path: Path, texts: dict[str, str], sentence: str) -> None:
     (found,) = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
     assert sentence in found
 
@@ -249,9 +245,7 @@ def test_every_study_that_ships_can_be_run_or_is_extended_by_one_that_can() -> N
 
 
 @pytest.mark.parametrize(("key", "title"), [("", "Two people"), ('title = "Other"\n', "Other")])
-def test_the_title_of_a_study_heads_its_report_where_the_report_has_none_of_its_own(
-    tmp_path: Path, key: str, title: str
-) -> None:
+def test_a_study_gives_its_report_a_title_unless_it_has_one(tmp_path: Path, key: str, title: str) -> None:
     path = chain_of(tmp_path, mine=f'{HEAD}title = "Two people"\n[evaluation]\n{key}')
     study, _ = load_study(str(path), load_graph())
     assert study.parameters["evaluation"].model_dump()["title"] == title

@@ -25,9 +25,7 @@ def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("home", ["unknown", "read-only", "a file"])
-def test_a_user_without_a_home_that_can_be_written_has_a_cache(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: str
-) -> None:
+def test_a_user_without_a_home_has_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, home: str) -> None:
     for name in ("NUMBA_CACHE_DIR", "PASDEDEUX_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -92,9 +90,7 @@ def test_workers_keep_to_the_limits_of_a_container(
     assert why_few(cluster_settings(None, 1.5)) == ""
 
 
-def test_where_the_system_does_not_tell_its_memory_there_is_a_worker_for_each_core(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unknown_memory_gives_a_worker_to_each_core(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(name: str) -> int:
         raise ValueError(f"unrecognized configuration name: {name}")
 

@@ -92,9 +92,7 @@ def lengths_m(path: Path, joints: list[int]) -> np.ndarray:
     return np.asarray(np.linalg.norm(motion.rest_offsets_m[at], axis=-1))
 
 
-def test_files_become_the_same_people_with_the_bones_of_others(
-    files: Path, tmp_path: Path, retarget: CommandLine
-) -> None:
+def test_files_get_the_bones_of_others(files: Path, tmp_path: Path, retarget: CommandLine) -> None:
     said = retarget(files / "a.bvh", files / "b.bvh", "--to", "source", "--to", files / "long.bvh").out
     assert "long.bvh" in said
     out = tmp_path / "out"
@@ -123,7 +121,7 @@ def test_three_files_and_one_take_as_many_bodies(
         np.testing.assert_allclose(lengths_m(tmp_path / f"out/a_retarget.{letter}.bvh", ELBOWS), wanted, atol=1e-4)
 
 
-def test_a_take_of_a_store_takes_a_table_and_an_asf(
+def test_bodies_are_read_from_a_table_and_an_asf(
     waltz: str, files: Path, tmp_path: Path, retarget: CommandLine
 ) -> None:
     said = retarget(waltz, "--to", files / "legs.csv", "--to", files / "90.asf", "--rest-pose", "standing").out
@@ -232,9 +230,7 @@ def test_a_trained_model_of_a_store_or_a_file_gives_the_motion_and_what_it_learn
 
 
 @pytest.mark.parametrize(("num_guessed", "guessed"), [(2, ", 2 guessed"), (0, "")])
-def test_a_fitted_body_is_described_by_its_scales_without_the_root_and_by_its_worst_bone(
-    num_guessed: int, guessed: str
-) -> None:
+def test_a_fitted_body_is_described_by_its_scales_and_worst_bone(num_guessed: int, guessed: str) -> None:
     scale = np.array([9.0, *[0.9] * 10, 1.0, *[1.3] * 10])
     misfit = {(BODY22.index("left_knee"), BODY22.index("left_ankle")): 0.002, (0, BODY22.index("spine1")): -0.008}
     fit = SimpleNamespace(bone_scale=scale, num_guessed=num_guessed, misfit_m=misfit)

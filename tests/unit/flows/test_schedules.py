@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from flows.console.app import run_command_line
 from storage_schema import Store
+from tests.builders.command_line import CommandLine
 from tests.builders.toy_runs import write_study
-from tests.builders.toys import TOYS
 
 ZOMBIES = "pasdedeux: builds whose process is gone"
 
@@ -57,7 +56,7 @@ class Server:
             raise ObjectNotFound(Exception("it is not there"))
 
 
-def test_a_store_has_a_queue_for_one_build_at_a_time_and_what_is_there_is_not_made_again(
+def test_a_store_has_one_queue_that_is_made_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from flows import schedules
@@ -123,7 +122,7 @@ def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:
 def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewhere(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    invoke_toys: CommandLine,
     words: tuple[str, ...],
     when: str,
     cron: str | None,
@@ -143,8 +142,9 @@ def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewh
     monkeypatch.setattr("flows.schedules.put_deployment", put)
     monkeypatch.chdir(tmp_path)
     study = write_study(tmp_path)
-    line = ["deploy", study.name, "--store", "built", "--workers", "2", "--set", "grow.num_takes=1", "--pool", "mine"]
-    assert run_command_line([*line, *words], graph=TOYS) == 0
+    options = ("--workers", "2", "--set", "grow.num_takes=1", "--pool", "mine")
+    deploy = invoke_toys.of("deploy", study.name, *options).at("built")
+    said = deploy(*words).out.splitlines()
     ((name, parameters, more),) = made
     assert (name, checked) == ("toy", [address])
     assert parameters == {
@@ -158,18 +158,14 @@ def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewh
         "folder": str(tmp_path),
     }
     assert more == {"cron": cron, "every": every, "pool": "mine"}
-    said = capsys.readouterr().out.splitlines()
     assert said == [
         f"pasdedeux-dataset/toy: {when}, study {study}, store {parameters['store']}",
         "now, if it is not running yet: prefect worker start --pool mine",
         "at once: prefect deployment run pasdedeux-dataset/toy; to remove it: prefect deployment delete "
         "pasdedeux-dataset/toy",
     ]
+    assert "are both schedules; give only one" in deploy.refusal("--every", "5", "--cron", "0 2 * * *")
+    assert "--cron 'often' is no schedule" in deploy.refusal("--cron", "often")
     found.api.url = None
-    assert run_command_line(line, graph=TOYS) == 2
-    assert "no Prefect server is set" in capsys.readouterr().err
-    assert run_command_line([*line, "--every", "5", "--cron", "0 2 * * *"], graph=TOYS) == 2
-    assert "are both schedules; give only one" in capsys.readouterr().err
-    assert run_command_line([*line, "--cron", "often"], graph=TOYS) == 2
-    assert "--cron 'often' is no schedule" in capsys.readouterr().err
+    assert "no Prefect server is set" in deploy.refusal()
     assert len(made) == 1

@@ -313,9 +313,7 @@ def test_two_rigs_rates_and_axes_are_written_for_each(tmp_path: Path) -> None:
         ("body22", None, False),
     ],
 )
-def test_why_no_layout_fits_is_said_unless_it_is_for_joints_that_were_not_found(
-    layout: str, missing: tuple[str, ...] | None, is_why_said: bool
-) -> None:
+def test_why_no_layout_fits_is_said(layout: str, missing: tuple[str, ...] | None, is_why_said: bool) -> None:
     part = SimpleNamespace(part="pelvis", joint="Hips", is_sure=False, reason="its place")
     draft = None if missing is None else SimpleNamespace(parts=[part], missing=missing)
     taken = SimpleNamespace(why_no_layout="two joints are one; give another")

@@ -133,9 +133,7 @@ def test_a_recorded_artifact_that_is_gone_is_said(store: Store, refs: list[Artif
         open_table("poses:duets/waltz", store)
 
 
-def test_columns_of_an_earlier_version_are_said(
-    store: Store, refs: list[ArtifactRef], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_earlier_columns_are_said(store: Store, refs: list[ArtifactRef], monkeypatch: pytest.MonkeyPatch) -> None:
     now = TABLES["poses"]
     fewer = replace(now, columns=now.columns[:-1])
     monkeypatch.setattr("storage_schema.store._declared", lambda table: schema_digest(fewer))

@@ -29,9 +29,7 @@ def test_a_dead_owner_loses_its_folder(tmp_path: Path) -> None:
     assert list((tmp_path / "tmp").iterdir()) == []
 
 
-def test_another_hosts_folder_stays_until_it_is_old_by_its_file_system_whatever_the_clock_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_hosts_folder_stays_until_its_files_are_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = StagingFolder(tmp_path / "tmp")
     (folder.path / "file").write_bytes(b"x")
     os.close(folder.lock)

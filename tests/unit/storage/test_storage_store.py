@@ -264,9 +264,7 @@ def test_nothing_leaves_whose_licence_is_no_longer_known(store: Store) -> None:
         source_credits(store, made)
 
 
-def test_a_new_artifact_takes_nothing_away_that_another_process_may_have_put_there(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_artifact_removes_no_folder(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("something was removed")
 
@@ -274,9 +272,7 @@ def test_a_new_artifact_takes_nothing_away_that_another_process_may_have_put_the
     assert commit_rows(store) == commit_rows(store)
 
 
-def test_everything_is_on_the_disk_before_an_artifact_has_its_name(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_data_are_on_the_disk_before_an_artifact_has_its_name(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     on_disk: set[int] = set()
     waiting: dict[str, list[str]] = {}
     fsync, rename = os.fsync, Path.rename

@@ -102,9 +102,7 @@ def test_a_line_that_is_no_choice_is_named(tmp_path: Path, line: str) -> None:
         Choosing(file)
 
 
-def test_a_choice_names_take_variant_and_content_and_can_be_taken_back(
-    built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_a_choice_can_be_taken_back(built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine) -> None:
     store, _ = built
     file = tmp_path / "choices.txt"
     choice = rejected(store, file, row=3)
@@ -116,9 +114,7 @@ def test_a_choice_names_take_variant_and_content_and_can_be_taken_back(
     assert read_choices(file) == {}
 
 
-def test_exports_leave_out_what_is_rejected_but_not_what_was_built_otherwise_since(
-    built: tuple[Store, StageInputs], tmp_path: Path, export: CommandLine
-) -> None:
+def test_exports_leave_out_rejected(built: tuple[Store, StageInputs], tmp_path: Path, export: CommandLine) -> None:
     store, _ = built
     file, out = tmp_path / "choices.txt", tmp_path / "out"
 
@@ -192,9 +188,7 @@ def reject_clip(video: tuple[Store, str], tmp_path: Path, invoke: CommandLine) -
     return invoke.at(store).of("curate", "reject", f"{reference}#0", *words)
 
 
-def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(
-    video: tuple[Store, str], tmp_path: Path, reject_clip: CommandLine
-) -> None:
+def test_clips_are_rejected_by_frames(video: tuple[Store, str], tmp_path: Path, reject_clip: CommandLine) -> None:
     (store, reference), file = video, tmp_path / "choices.txt"
     reject_clip("5-6")
     (choice,) = read_choices(file).values()
@@ -213,9 +207,7 @@ def test_of_a_reconstruction_a_clip_is_rejected_by_its_frames(
     assert Data(store, file).table(reference).num_rows == 12, "it had other content then"
 
 
-def test_what_lies_between_rejected_clips_is_a_motion_of_its_own(
-    video: tuple[Store, str], tmp_path: Path, reject_clip: CommandLine
-) -> None:
+def test_rejected_clips_split_a_motion(video: tuple[Store, str], tmp_path: Path, reject_clip: CommandLine) -> None:
     (store, reference), file = video, tmp_path / "choices.txt"
     for frames in ("5-5", "8-8"):
         reject_clip(frames)
@@ -248,9 +240,7 @@ def test_a_clip_that_is_not_there_is_refused(tmp_path: Path, reject_clip: Comman
     assert not (tmp_path / "choices.txt").exists()
 
 
-def test_windows_to_train_on_and_objects_for_python_leave_out_what_a_file_rejects(
-    built: tuple[Store, StageInputs], tmp_path: Path
-) -> None:
+def test_windows_and_objects_leave_out_what_is_rejected(built: tuple[Store, StageInputs], tmp_path: Path) -> None:
     store, _ = built
     file = tmp_path / "choices.txt"
     rejected(store, file)
@@ -267,9 +257,7 @@ def test_windows_to_train_on_and_objects_for_python_leave_out_what_a_file_reject
         Data(store, tmp_path / "misspelt.txt")
 
 
-def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(
-    built: tuple[Store, StageInputs], tmp_path: Path
-) -> None:
+def test_rejected_variants_are_not_trained_on(built: tuple[Store, StageInputs], tmp_path: Path) -> None:
     store, inputs = built
     choice = rejected(store, tmp_path / "choices.txt")
 
@@ -285,9 +273,7 @@ def test_training_leaves_out_what_is_rejected_and_only_then_trains_anew(
     assert names - {name for _, name in kept.sound_names("waltz")} == {"A-uniform-0.80"}
 
 
-def test_a_reference_to_several_variants_is_refused_and_a_rejection_says_who_heeds_it(
-    built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine
-) -> None:
+def test_a_choice_is_of_one_thing(built: tuple[Store, StageInputs], tmp_path: Path, invoke: CommandLine) -> None:
     file = tmp_path / "choices.txt"
     reject = invoke.of("curate", "reject", "--curation", file).at(built[0])
     said = reject.refusal("variants:short/waltz")

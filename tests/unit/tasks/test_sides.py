@@ -19,9 +19,7 @@ from tasks.rows.sides import Side, take_sides
         (2, 2, {"test": 2}),
     ],
 )
-def test_held_out_takes_test_and_a_tenth_of_the_others_validates(
-    num_takes: int, num_held: int, wanted: dict[str, int]
-) -> None:
+def test_held_out_takes_test_and_a_tenth_validates(num_takes: int, num_held: int, wanted: dict[str, int]) -> None:
     takes = {f"take{number}": number < num_held for number in range(num_takes)}
     sides = take_sides(takes)
     assert Counter(side.split for side in sides.values()) == wanted

@@ -183,9 +183,7 @@ def test_a_failing_shard_is_named_with_its_message(client: Client, tmp_path: Pat
     assert "fail_with_a_message" in caught.value.trace
 
 
-def test_shards_that_need_none_of_those_that_failed_are_committed_and_all_failures_named(
-    client: Client, tmp_path: Path
-) -> None:
+def test_all_failures_are_named_and_other_shards_committed(client: Client, tmp_path: Path) -> None:
     asked, kept = shards(3, 3), {"t0": 1, "t1": 3, "t2": 1}
     for pool, root in ((here(tmp_path / "a"), tmp_path / "a"), (on(client, tmp_path / "b"), tmp_path / "b")):
         with pytest.raises(ShardError, match=r"t0, shard s1: broken; .*t2, shard s1: broken") as caught:
@@ -207,9 +205,7 @@ def test_a_shard_whose_worker_died_once_is_computed_all_the_same(client: Client,
 
 
 @pytest.mark.slow
-def test_a_shard_that_needs_more_memory_than_a_worker_has_is_named_and_others_are_computed(
-    client: Client, tmp_path: Path
-) -> None:
+def test_a_shard_that_eats_all_memory_is_named_and_others_computed(client: Client, tmp_path: Path) -> None:
     asked = shards(3, 1)
     with pytest.raises(ShardError, match="stage grow, t0, shard s0: its worker process died 3 times") as caught:
         compute(eat_memory, asked, on(client, tmp_path))
@@ -234,9 +230,7 @@ def test_workers_use_one_thread(client: Client, tmp_path: Path) -> None:
         compute(name_threads, shards(1, 1), on(client, tmp_path))
 
 
-def test_a_result_that_is_lost_on_its_way_is_waited_for_while_others_end(
-    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_result_is_fetched_again(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fetch = Future.result
     asked: list[float | None] = []
 
@@ -295,9 +289,7 @@ def test_a_scheduler_that_dies_while_a_result_is_fetched_is_one_sentence(
         compute(run_grow, shards(), on(client, tmp_path / "store"))
 
 
-def test_a_greeting_that_does_not_come_alone_is_asked_for_again(
-    given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_greeting_is_asked_for_again(given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     greetings = iter([AssertionError(), AssertionError(), None])
     plainly = Client.start
 
@@ -346,9 +338,7 @@ def test_keys_of_a_clusters_jobs_are_gone_from_the_shared_folder_when_it_has_end
         ("dask_jobqueue.SLURMCluster", "cannot start its jobs: .*invalid partition"),
     ],
 )
-def test_what_a_job_says_that_gets_no_worker_is_in_the_error_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, words: str
-) -> None:
+def test_a_failed_job_is_quoted_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, words: str) -> None:
     (tmp_path / "sbatch").write_text("#!/bin/sh\necho invalid partition >&2; exit 1\n")
     (tmp_path / "sbatch").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
@@ -397,15 +387,13 @@ def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, wor
         connect(cluster_settings(None, cluster=path), store_root=str(tmp_path)).__enter__()
 
 
-def test_workers_with_another_version_of_a_package_are_refused(
-    given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_package_is_refused(given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tasks.shards.cluster.package_versions", lambda: {**package_versions(), "numpy": "1.0"})
     words = r"worker tcp://.* has numpy [2-9].*, here it is 1\.0: results would differ"
     assert_refused(given, tmp_path, words)
 
 
-def test_workers_with_other_pinned_instructions_are_refused(
+def test_other_instructions_are_refused(
     given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CPU_NAME", "haswell")

@@ -99,7 +99,7 @@ def test_no_command_waits_for_a_pipe(command: str, tmp_path: Path, invoke: Comma
     path = tmp_path / ("pipe.mp4" if "annotate" in command or "videos" in command else "pipe.toml")
     os.mkfifo(path)
     words = [word.format(path=path, out=tmp_path / "out.toml", key="0" * 64) for word in command.split()]
-    assert "is a pipe, and a regular file is needed" in invoke(*words, code=2).err
+    assert "is a pipe, and a regular file is needed" in invoke.refusal(*words)
 
 
 def test_a_pipe_beside_files_or_among_live_frames_is_passed_by(tmp_path: Path) -> None:

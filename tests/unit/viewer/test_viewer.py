@@ -77,9 +77,8 @@ def test_what_is_no_address_is_said(viewer: Viewer) -> None:
 
 def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then(viewer: Viewer) -> None:
     viewer.seek(0)
-    with viewer.lock, closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=10.0)) as asked:
-        asked.request("GET", f"{path_of(viewer)}?at=poses:short%23200000")
-        assert asked.getresponse().status == 200
+    with viewer.lock:
+        assert asked(viewer, f"{path_of(viewer)}?at=poses:short%23200000").status == 200
     wait_until(lambda: "200000" in viewer.panel.message.value, "the visit", limit_s=20.0)
 
 
@@ -94,17 +93,13 @@ def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) ->
 
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
     viewer.seek(0)
-    viewer.step(-1)
-    assert viewer.frame == 0
-    viewer.step(viewer.scene.num_frames)
-    assert viewer.frame == viewer.scene.num_frames - 1
-    viewer.step(-1)
-    assert viewer.frame == viewer.scene.num_frames - 2
+    last = viewer.scene.num_frames - 1
+    for step, frame in ((-1, 0), (last + 1, last), (-1, last - 1)):
+        viewer.step(step)
+        assert viewer.frame == frame
 
 
-def test_keys_step_by_one_frame_or_item_forth_and_back(
-    store: Store, open_viewer: OpenViewer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_keys_step_frames_and_items(store: Store, open_viewer: OpenViewer, monkeypatch: pytest.MonkeyPatch) -> None:
     keys: dict[str, Callable[..., None]] = {}
     monkeypatch.setattr("flows.viewing.panel.Panel.bind", lambda _, label, key, action: keys.update({key: action}))
     shown = open_viewer(open_shelf(store, None))
@@ -116,17 +111,12 @@ def test_keys_step_by_one_frame_or_item_forth_and_back(
     assert steps == [-1, 1, ("item", -1), ("item", 1)]
 
 
-def test_the_message_is_there_while_there_is_one_and_items_stand_side_by_side(viewer: Viewer) -> None:
-    viewer.panel.tell("something")
-    assert viewer.panel.message.visible
-    viewer.shown.beside.value = "4"
-    viewer.show_item(0)
-    assert not viewer.panel.message.visible
-    shown = [one for one, _, _ in viewer.room._more]
-    assert len(shown) == min(4, len(viewer.listing.order)) - 1
-    viewer.shown.beside.value = "1"
-    viewer.show_item(0)
-    assert viewer.room._more == []
+def test_a_message_is_there_until_another_item_is_shown(viewer: Viewer) -> None:
+    for show in (lambda: viewer.show_item(0), lambda: viewer.show_part(viewer.part)):
+        viewer.panel.tell("no frame of this item fails or has a warning")
+        assert viewer.panel.message.visible
+        show()
+        assert (viewer.panel.message.value, viewer.panel.message.visible) == ("", False)
 
 
 class Broken:
@@ -169,15 +159,12 @@ def test_no_callback_lets_an_exception_out_and_each_shows_it(store: Store, tmp_p
         viewer.stop()
 
 
-def test_what_fails_while_playing_stops_it_is_shown_and_can_be_played_again(viewer: Viewer) -> None:
+def test_a_failure_stops_playing_and_is_shown(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     viewer.seek(0)
-    plain = viewer.room.show_frame
-    viewer.room.show_frame = Broken()  # type: ignore[method-assign, assignment]
-    try:
+    with monkeypatch.context() as patch:
+        patch.setattr(viewer.room, "show_frame", Broken())
         viewer.play(True)
         wait_until(lambda: not viewer.is_playing, "the stop", limit_s=20.0)
-    finally:
-        viewer.room.show_frame = plain  # type: ignore[method-assign]
     assert viewer.panel.message.value == "IndexError: broken"
     viewer.seek(0)
     viewer.play(True)
@@ -210,13 +197,6 @@ def test_an_item_that_cannot_be_read_leaves_what_is_shown(viewer: Viewer, monkey
     assert (viewer.part, viewer.index, viewer.scene) == shown
 
 
-def test_what_was_said_of_one_item_does_not_stand_beside_the_next(viewer: Viewer) -> None:
-    viewer.show_part(viewer.part)
-    viewer.panel.tell("no frame of this item fails or has a warning")
-    viewer.show_part(viewer.part)
-    assert viewer.panel.message.value == ""
-
-
 def test_pictures_are_of_the_frame_of_their_scene_while_another_is_put_in_place(viewer: Viewer) -> None:
     asked: list[int] = []
     viewer.seek(5)
@@ -232,9 +212,7 @@ def test_pictures_are_of_the_frame_of_their_scene_while_another_is_put_in_place(
     viewer.scene = whole
 
 
-def test_film_that_is_read_too_late_is_not_shown_behind_what_came_meanwhile(
-    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_film_that_is_read_too_late_is_not_shown(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[object] = []
     monkeypatch.setattr(viewer.room, "show_film", shown.append)
     whole, was_read = viewer.scene, threading.Event()
@@ -276,24 +254,27 @@ def path_of(viewer: Viewer) -> str:
     return urlsplit(viewer.url).path
 
 
+def asked(viewer: Viewer, path: str, **headers: str) -> http.client.HTTPResponse:
+    """Return the answer of its server, which has the page only if it is 200."""
+    with closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=20.0)) as connection:
+        connection.request("GET", path, headers=headers)
+        answer = connection.getresponse()
+        assert (b"<title>pasdedeux</title>" in answer.read()) is (answer.status == 200)
+        return answer
+
+
 def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) -> None:
     port = viewer.server.get_port()
 
     def status(path: str = path_of(viewer), **headers: str) -> int:
-        with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)) as asked:
-            asked.request("GET", path, headers=headers)
-            answer = asked.getresponse()
-            policy = answer.getheader("Content-Security-Policy", "")
-            body = answer.read()
-        assert (b"<title>pasdedeux</title>" in body) is (answer.status == 200)
+        answer = asked(viewer, path, **headers)
+        policy = answer.getheader("Content-Security-Policy", "")
         assert ("default-src 'self'" in policy) is (answer.status == 200)
         return answer.status
 
     assert status() == 200
-    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)) as asked:
-        asked.request("GET", f"{path_of(viewer)[:-1]}?at=poses:study")
-        answer = asked.getresponse()
-        assert (answer.status, answer.getheader("Location")) == (308, f"{path_of(viewer)}?at=poses:study")
+    answer = asked(viewer, f"{path_of(viewer)[:-1]}?at=poses:study")
+    assert (answer.status, answer.getheader("Location")) == (308, f"{path_of(viewer)}?at=poses:study")
     assert status(Host=f"localhost:{port}") == 200
     assert status(Host="elsewhere.example") == 403
     assert status(Origin="http://elsewhere.example") == 403
@@ -315,9 +296,7 @@ def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) 
             socket.create_connection(own[:2], timeout=5.0)
 
 
-def test_what_cannot_be_shown_is_refused_in_one_sentence(
-    store: Store, tmp_path: Path, viewer: Viewer, invoke: CommandLine
-) -> None:
+def test_refusals_are_one_sentence(store: Store, tmp_path: Path, viewer: Viewer, invoke: CommandLine) -> None:
     empty, text = tmp_path / "empty", tmp_path / "walk.bvh"
     text.write_text("this is no motion\n")
     used = viewer.server.get_port()
@@ -418,23 +397,18 @@ def test_a_click_far_from_every_joint_places_the_one_that_is_chosen(viewer: View
     np.testing.assert_allclose(heard[-1].point_px, [320.0, 220.0])
 
 
-def test_the_pointer_is_heard_from_the_page_alone(viewer: Viewer) -> None:
-    def status(path: str, **headers: str) -> int:
-        with closing(http.client.HTTPConnection("127.0.0.1", viewer.server.get_port(), timeout=20.0)) as asked:
-            asked.request("GET", path_of(viewer) + path, headers=headers)
-            return asked.getresponse().status
-
+def test_the_pointer_is_heard_from_the_page_alone(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[Pointer] = []
-    viewer.side.point, plain = heard.append, viewer.side.point  # type: ignore[method-assign]
-    try:
-        own = {"X-Pointer": "1"}
-        assert status("pointer/down/0.25/0.50000") == 404, "a page elsewhere cannot send this header"
-        assert status("pointer/down/0.25/0.5", Origin="http://elsewhere.example", **own) == 403
-        assert status("pointer/press/0.25/0.5", **own) == 404
-        assert status("pointer/down/0.25/-0.5", **own) == 204
-        wait_until(lambda: bool(heard), "the pointer", limit_s=20.0)
-    finally:
-        viewer.side.point = plain  # type: ignore[method-assign]
+    monkeypatch.setattr(viewer.side, "point", heard.append)
+    ours = {"X-Pointer": "1"}
+    for path, headers, wanted in (
+        ("pointer/down/0.25/0.50000", {}, 404),  # a page elsewhere cannot send the header
+        ("pointer/down/0.25/0.5", {"Origin": "http://elsewhere.example", **ours}, 403),
+        ("pointer/press/0.25/0.5", ours, 404),
+        ("pointer/down/0.25/-0.5", ours, 204),
+    ):
+        assert asked(viewer, path_of(viewer) + path, **headers).status == wanted
+    wait_until(lambda: bool(heard), "the pointer", limit_s=20.0)
     assert heard == [Pointer("down", 0.25, -0.5)]
 
 
@@ -442,9 +416,7 @@ def tree(store: Store) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in sorted(store.root.rglob("*"))}
 
 
-def test_looking_and_choosing_write_nothing_into_the_store(
-    store: Store, tmp_path: Path, open_viewer: OpenViewer
-) -> None:
+def test_looking_writes_nothing_into_the_store(store: Store, tmp_path: Path, open_viewer: OpenViewer) -> None:
     before = tree(store)
     shown = open_viewer(open_shelf(Store(store.root), "short"), choosing=Choosing(tmp_path / "curation.txt"))
     Editor(shown, tmp_path / "restarts")

@@ -85,14 +85,11 @@ def test_who_is_shown_stands_at_the_place_that_the_data_say(viewer: Viewer) -> N
     np.testing.assert_array_equal(viewer.server.scene.get_handle_by_name(name).position, np.zeros(3))
 
 
-def test_the_nearest_poses_of_a_person_are_of_the_image_about_the_hips_in_its_colour(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rng, asked = np.random.default_rng(5), list[np.ndarray]()
-    poses, projected = rng.normal(size=(4, 2, 14, 3)), rng.normal(size=(9, 6, 14, 2))
+def test_the_nearest_poses_of_a_person_are_sought_by_the_image_about_the_hips(monkeypatch: pytest.MonkeyPatch) -> None:
+    poses, asked = np.random.default_rng(5).normal(size=(4, 2, 14, 3)), list[np.ndarray]()
     best = SimpleNamespace(row=[7, 2, 5], yaw_index=[4, 0, 1], distance_m=[0.123, 0.2, np.nan])
     index = SimpleNamespace(search=lambda image, num_neighbours: asked.append(image) or best)
-    database = SimpleNamespace(project=lambda first, last: projected[first:last])
+    database = SimpleNamespace(project=lambda first, last: np.zeros((1, 6, 14, 2)))
     takes, frames = np.array([f"take {row}" for row in range(9)]), np.arange(9) * 10
     monkeypatch.setattr(kinds, "_database", lambda *_: (database, index, takes, frames))
     flats = kinds._nearest_poses(None, None, poses, 3)  # type: ignore[arg-type]
@@ -100,11 +97,6 @@ def test_the_nearest_poses_of_a_person_are_of_the_image_about_the_hips_in_its_co
     assert [flat.title for flat in flats] == [f"{name}: {title}" for name in "AB" for title in titles]
     hips = OP14.indices(["left_hip", "right_hip"])
     np.testing.assert_allclose(asked, (poses[3] - poses[3][:, hips].mean(axis=1, keepdims=True))[..., :2])
-    for flat, person, (row, yaw) in zip(flats, (0, 0, 1, 1), [(7, 4), (2, 0)] * 2, strict=True):
-        own = flat.points_px[person] - flat.points_px[person][0]
-        wanted = (projected[row, yaw] - projected[row, yaw][0]) * [1.0, -1.0]
-        np.testing.assert_allclose(own / np.linalg.norm(own), wanted / np.linalg.norm(wanted), atol=1e-6)
-        assert np.isnan(flat.points_px[:person]).all()
 
 
 def test_the_floor_is_a_square_of_lines_a_metre_apart_each_drawn_once() -> None:

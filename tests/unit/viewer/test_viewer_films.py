@@ -75,9 +75,7 @@ def annotated(store: Store, name: str, places: dict[str, list[object]], points_p
     )
 
 
-def test_2d_poses_are_saved_as_they_are_but_for_who_was_changed_in_the_frame_of_the_change(
-    tmp_path: Path, open_viewer: OpenViewer
-) -> None:
+def test_saved_2d_poses_differ_only_where_they_were_changed(tmp_path: Path, open_viewer: OpenViewer) -> None:
     rng = np.random.default_rng(4)
     places = {"sequence_id": ["walk"] * 6, "person_id": [9, 4] * 3, "partner_id": [4, 9] * 3}
     places |= {"frame": np.repeat(np.arange(3), 2), "time_s": np.repeat(np.arange(3) / 30.0, 2)}
@@ -171,9 +169,7 @@ def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, fe
     assert film.image(4) is not None, "after its end it is read again"
 
 
-def test_a_shot_is_sought_where_it_begins_and_images_that_were_seen_where_they_are(
-    tmp_path: Path, few_are_kept: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shot_is_sought_at_its_begin(tmp_path: Path, few_are_kept: None, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[tuple[int, int, float | None]] = []
 
     def read(files: tuple[SourceFile, ...], first: int, after_s: float | None, sought: int) -> Iterator[FilmFrame]:
@@ -200,9 +196,7 @@ def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_overlay(tmp_path: 
     assert film.image(num_frames + 10) is None
 
 
-def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_that_has_changed_is_not_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = grey_film(tmp_path / "grey.avi", 5)
     files = (("keys.csv", "0" * 64), (path.name, user_file_digest(path)))
     manifest = SimpleNamespace(parameters=OF_FILM, files=files)
@@ -222,9 +216,7 @@ def test_a_film_that_has_gone_or_changed_is_not_shown_and_said_so(
         assert film.trouble == "the film grey.avi of these 2D poses is missing, or has changed since it was read"
 
 
-def test_tracks_of_film_follow_a_joint_that_is_dragged_and_are_saved_as_key_frames(
-    tmp_path: Path, open_viewer: OpenViewer
-) -> None:
+def test_tracks_follow_a_dragged_joint_and_are_saved(tmp_path: Path, open_viewer: OpenViewer) -> None:
     film = write_film(tmp_path / "walk.mp4", (painted(0, frame) for frame in range(20)))
     keys = write_keys(tmp_path / "keys.csv", [0, 8, 19])
     source = {"id": "walk", "path": str(film), "keys": str(keys)}

@@ -63,9 +63,7 @@ def begin(editor: Editor, table: str, row: int = 0) -> Viewer:
     return viewer
 
 
-def test_a_joint_that_is_moved_keeps_the_bones_and_the_other_person_and_is_saved_with_its_lineage(
-    artifacts: tuple[Store, dict[str, Manifest]], editor: Editor
-) -> None:
+def test_a_moved_joint_keeps_bones_and_lineage(artifacts: tuple[Store, dict[str, Manifest]], editor: Editor) -> None:
     _, named = artifacts
     begin(editor, "draws", 2)
     key, before = named["draws"].ref.key, editor.pose
@@ -123,9 +121,7 @@ def test_angles_out_of_range_are_named_up_to_a_few(editor: Editor, monkeypatch: 
         assert (editor._limits.value, editor._limits.visible) == (wanted, True)
 
 
-def test_a_draw_has_its_annotation_and_the_nearest_ones_beside_it(
-    artifacts: tuple[Store, dict[str, Manifest]], editor: Editor
-) -> None:
+def test_a_draw_has_its_annotation_beside_it(artifacts: tuple[Store, dict[str, Manifest]], editor: Editor) -> None:
     """The draw is the annotated pair itself: nothing but its own image is at no distance."""
     store, named = artifacts
     viewer = begin(editor, "draws")

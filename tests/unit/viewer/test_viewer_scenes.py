@@ -112,7 +112,7 @@ def put_reconstruction(
     return put(store, "reconstruction", name, {"motions": columns}, facts, inputs)
 
 
-def test_a_reconstruction_stands_upright_before_the_capture_and_its_error_is_of_limbs_about_the_root(
+def test_a_reconstruction_stands_upright_and_its_error_is_of_limbs_about_the_root(
     store: Store,
 ) -> None:
     """Bodies are a tenth too large, and three metres away: a tenth of the distance of limbs from the root is wrong."""
@@ -149,9 +149,7 @@ def test_the_camera_of_a_reconstruction_is_known_where_its_video_is(store: Store
     assert scene_of(Shelf(store, [motions.ref], [videos[1].ref]), "motions").camera is not None
 
 
-def test_a_clip_of_a_reconstruction_is_chosen_said_and_forgotten_in_any_of_its_frames(
-    store: Store, tmp_path: Path
-) -> None:
+def test_a_clip_is_chosen_and_forgotten_in_any_of_its_frames(store: Store, tmp_path: Path) -> None:
     """The first frame of the reconstruction is frame 2 of its sequence: clips are kept by those of the sequence."""
     shelf = Shelf(store, [put_reconstruction(store, pairs_of(0, 22)[1:], 0.0, "film").ref])
     part = shelf.parts[0]
@@ -186,9 +184,7 @@ def test_a_clip_of_a_reconstruction_is_chosen_said_and_forgotten_in_any_of_its_f
 
 
 @pytest.mark.parametrize("most", [300_000, 90])
-def test_the_nearest_poses_of_its_database_stand_beside_a_reconstruction(
-    store: Store, monkeypatch: pytest.MonkeyPatch, most: int
-) -> None:
+def test_nearest_poses_stand_beside_a_motion(store: Store, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     """A and B are poses of the database, turned and moved: nothing but these is at no distance."""
     monkeypatch.setattr("flows.viewing.kinds._MAX_PROJECTIONS", most)
     poses = centre_and_face(random_poses(np.random.default_rng(4), 5, spread=0.8)).poses_m
@@ -219,9 +215,7 @@ def test_the_nearest_poses_of_its_database_stand_beside_a_reconstruction(
     assert alone.nearest(4) == []
 
 
-def test_2d_poses_stand_as_they_were_captured_until_they_are_asked_for(
-    store: Store, open_viewer: Callable[..., Viewer]
-) -> None:
+def test_2d_poses_stand_as_they_were_captured(store: Store, open_viewer: Callable[..., Viewer]) -> None:
     _, videos, poses = put_truth(store, "body22_m")
     viewer = open_viewer(Shelf(store, [videos[0].ref]))
     np.testing.assert_allclose(viewer.scene.people.positions_m, poses["seen"][1:], atol=1e-6)

@@ -30,7 +30,7 @@ def posed_plainly(kind: str, data: bytes, model: bytes) -> np.ndarray:
             matrix[:3, :3] = Rotation.from_rotvec(pose[joint]).as_matrix()
             matrix[:3, 3] = rest[joint] - rest[parent] if parent >= 0 else rest[joint]
             chain.append(chain[parent] @ matrix if parent >= 0 else matrix)
-        found.append([one[:3, 3] + trans for one in chain])
+        found.append([matrix[:3, 3] + trans for matrix in chain])
     return np.array(found)
 
 
@@ -57,28 +57,27 @@ def test_joints_are_those_of_the_equations_upright_and_known_as_body22(kind: str
 
 
 def test_parameters_of_two_and_in_parts_are_the_same_people() -> None:
-    model, both = body_model("SMPL-X"), {}
+    model, both, wholes = body_model("SMPL-X"), {}, []
     for person, seed in ((1, 0), (2, 1)):
-        one = np.load(io.BytesIO(amass("SMPL-X", seed=seed)))
-        poses = one["poses"].copy()
+        alone = np.load(io.BytesIO(amass("SMPL-X", seed=seed)))
+        poses = alone["poses"].copy()
         poses[:, 66:75] = 0.0
         both |= {
             f"person{person}_root_orient": poses[:, :3].astype(np.float32),
             f"person{person}_pose_body": poses[:, 3:66].reshape(12, 21, 3),
             f"person{person}_pose_lhand": poses[:, 75:120].reshape(12, 15, 3),
             f"person{person}_pose_rhand": poses[:, 120:].reshape(12, 15, 3),
-            f"person{person}_trans": one["trans"],
-            f"person{person}_betas": np.tile(one["betas"], (12, 1)),
+            f"person{person}_trans": alone["trans"],
+            f"person{person}_betas": np.tile(alone["betas"], (12, 1)),
         }
-        whole = read_smpl(amass("SMPL-X", seed=seed, poses=poses), model)
-        data = npz(**both, mocap_framerate=np.array(30))
-        assert recognise_format(data).name == "smpl"
-        if person == 2:
-            part = MOTION_FORMATS["smpl"].read_person(1, data, model)
-            np.testing.assert_allclose(part.local_unitquat, whole.local_unitquat, atol=1e-6)
-            np.testing.assert_allclose(part.root_translation, whole.root_translation, atol=1e-9)
-            np.testing.assert_allclose(part.rest_offsets, whole.rest_offsets, atol=1e-9)
-            assert part.rate_hz == 30.0
+        wholes.append(read_smpl(amass("SMPL-X", seed=seed, poses=poses), model))
+    data = npz(**both, mocap_framerate=30)
+    assert recognise_format(data).name == "smpl"
+    for part, whole in zip(MOTION_FORMATS["smpl"].read_people(data, model), wholes, strict=True):
+        np.testing.assert_allclose(part.local_unitquat, whole.local_unitquat, atol=1e-6)
+        np.testing.assert_allclose(part.root_translation, whole.root_translation, atol=1e-9)
+        np.testing.assert_allclose(part.rest_offsets, whole.rest_offsets, atol=1e-9)
+        assert part.rate_hz == 30.0
 
 
 def test_betas_are_found_again_from_the_lengths_of_bones() -> None:

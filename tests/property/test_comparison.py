@@ -36,10 +36,10 @@ def commit(store: Store, table: str, columns: dict[str, Any], **more: Any) -> Ar
     )
 
 
-def compared(table: str, one: dict[str, Any], other: dict[str, Any], **more: Any) -> list[Difference]:
+def compared(table: str, first: dict[str, Any], second: dict[str, Any], **more: Any) -> list[Difference]:
     with tempfile.TemporaryDirectory() as folder:
         stores = [Store(Path(folder) / name) for name in "ab"]
-        manifests = [s.manifest(commit(s, table, c, **more)) for s, c in zip(stores, (one, other), strict=True)]
+        manifests = [s.manifest(commit(s, table, c, **more)) for s, c in zip(stores, (first, second), strict=True)]
         return compare_artifacts(stores[0], manifests[0], stores[1], manifests[1])
 
 
@@ -57,35 +57,35 @@ def test_the_same_rows_do_not_differ(table: str) -> None:
 def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
     data: st.DataObject, table: str, factor: float
 ) -> None:
-    one, other = random_columns(table, NUM_ROWS), random_columns(table, NUM_ROWS)
+    first, second = random_columns(table, NUM_ROWS), random_columns(table, NUM_ROWS)
     column = data.draw(st.sampled_from(TABLES[table].columns))
     row = data.draw(st.integers(0, NUM_ROWS - 1))
     kind = column_kind(column)
     is_rounding = False
     if kind is ColumnKind.TEXT:
-        other[column.name][row] = "something else"
+        second[column.name][row] = "something else"
     elif kind is ColumnKind.TEXT_LIST:
-        other[column.name][row] = ["something else"]
+        second[column.name][row] = ["something else"]
     elif kind is ColumnKind.VARYING:
-        other[column.name][row] = np.append(other[column.name][row], 1).astype(other[column.name][row].dtype)
+        second[column.name][row] = np.append(second[column.name][row], 1).astype(second[column.name][row].dtype)
     elif pa.types.is_floating(value_type(column)):
         # Steps of the stored type are far below the tolerances, so what is stored is what was meant.
         value = 4.0
         allowed = TOLERANCES[column.unit] + RELATIVE_TOLERANCE * value
-        for columns, put in ((one, value), (other, value + factor * allowed)):
+        for columns, put in ((first, value), (second, value + factor * allowed)):
             if column.shape:
                 columns[column.name][row].flat[-1] = put
             else:
                 columns[column.name][row] = put
         is_rounding = factor < 1
     elif column.shape:
-        other[column.name][row].flat[-1] = one[column.name][row].flat[-1] + 1
+        second[column.name][row].flat[-1] = first[column.name][row].flat[-1] + 1
     else:
-        before = one[column.name][row]
-        other[column.name][row] = (not before) if kind is ColumnKind.BOOLEAN else (before or 0) + 1
+        before = first[column.name][row]
+        second[column.name][row] = (not before) if kind is ColumnKind.BOOLEAN else (before or 0) + 1
         if before is None:
-            one[column.name][row] = 0
-    (found,) = compared(table, one, other)
+            first[column.name][row] = 0
+    (found,) = compared(table, first, second)
     assert (found.table, found.column, found.row) == (table, column.name, row)
     assert found.is_beyond is not is_rounding
     assert f"{table}.{column.name}, row {row}: " in str(found)
@@ -93,24 +93,24 @@ def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
 
 def test_the_worst_row_of_all_row_groups_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage_schema.parquet_files.ROW_GROUP_ROWS", 3)
-    one, other = random_columns("scores", 8), random_columns("scores", 8)
-    one["value"][:] = other["value"][:] = 0.0
-    other["value"][[1, 5, 7]] = [1.0, 3.0, 2.0]
-    (found,) = compared("scores", one, other)
+    first, second = random_columns("scores", 8), random_columns("scores", 8)
+    first["value"][:] = second["value"][:] = 0.0
+    second["value"][[1, 5, 7]] = [1.0, 3.0, 2.0]
+    (found,) = compared("scores", first, second)
     assert (found.row, found.largest, found.allowed) == (5, 3.0, TOLERANCES[""])
 
 
 def test_a_number_beside_a_missing_or_an_infinite_one_is_beyond_every_tolerance() -> None:
-    one = random_columns("scores", 2)
-    one["value"][:] = [np.nan, np.inf]
-    assert compared("scores", one, {**one, "value": one["value"].copy()}) == []
+    first = random_columns("scores", 2)
+    first["value"][:] = [np.nan, np.inf]
+    assert compared("scores", first, {**first, "value": first["value"].copy()}) == []
     for values in ([1.0, np.inf], [np.nan, 1.0], [np.nan, -np.inf]):
-        (found,) = compared("scores", one, {**one, "value": np.array(values)})
+        (found,) = compared("scores", first, {**first, "value": np.array(values)})
         assert found.is_beyond
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "is_beyond"),
+    ("first", "second", "is_beyond"),
     [
         ("draws@3cee9f89eb64a470#2", "draws@bc51b59d1c01853d#2", False),
         ("draws@3cee9f89eb64a470#2", "draws@bc51b59d1c01853d#3", True),
@@ -120,16 +120,16 @@ def test_a_number_beside_a_missing_or_an_infinite_one_is_beyond_every_tolerance(
         ("judo", "jude", True),
     ],
 )
-def test_a_text_may_differ_by_keys_and_by_rounded_numbers_alone(one: str, other: str, is_beyond: bool) -> None:
+def test_a_text_may_differ_by_keys_and_by_rounded_numbers_alone(first: str, second: str, is_beyond: bool) -> None:
     rows = random_columns("lifted_pairs", 2)
-    (found,) = compared("lifted_pairs", {**rows, "draw": ["", one]}, {**rows, "draw": ["", other]})
+    (found,) = compared("lifted_pairs", {**rows, "draw": ["", first]}, {**rows, "draw": ["", second]})
     assert (found.column, found.row, found.is_beyond) == ("draw", 1, is_beyond)
 
 
 def test_arrays_without_a_value_do_not_differ() -> None:
-    one = random_columns("models", 2)
-    one["values"] = [np.zeros(0), np.zeros(0)]
-    (found,) = compared("models", one, {**one, "array_name": [*one["array_name"][:1], "else"]})
+    first = random_columns("models", 2)
+    first["values"] = [np.zeros(0), np.zeros(0)]
+    (found,) = compared("models", first, {**first, "array_name": [*first["array_name"][:1], "else"]})
     assert (found.column, found.row) == ("array_name", 1)
 
 
@@ -143,14 +143,14 @@ def test_other_numbers_of_rows_and_other_attachments_are_said() -> None:
         made = [s.manifest(commit(s, "scores", rows, attachments=files[i])) for i, s in enumerate(stores)]
         (found,) = compare_artifacts(stores[0], made[0], stores[1], made[1])
         assert (str(found), found.is_beyond, found.is_attachment) == ("page.html: other bytes", True, True)
-        for one, other in ((0, 2), (2, 0)):
-            (found,) = compare_artifacts(stores[one], made[one], stores[other], made[other])
+        for first, second in ((0, 2), (2, 0)):
+            (found,) = compare_artifacts(stores[first], made[first], stores[second], made[second])
             assert str(found) == "page.html: is only in one"
             assert (found.is_beyond, found.is_missing) == (True, True)
 
 
 def test_whole_numbers_far_apart_are_beyond_without_a_warning() -> None:
-    one = random_columns("models", 1)
-    one["array_shape"] = [np.array([2**31 - 1])]
-    (found,) = compared("models", one, {**one, "array_shape": [np.array([1])]})
+    first = random_columns("models", 1)
+    first["array_shape"] = [np.array([2**31 - 1])]
+    (found,) = compared("models", first, {**first, "array_shape": [np.array([1])]})
     assert (found.column, found.is_beyond) == ("array_shape", True)

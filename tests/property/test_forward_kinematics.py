@@ -25,7 +25,9 @@ def plain(skeleton: Skeleton, offsets_m: Array, roots_m: Array, local: Array) ->
     return positions, world
 
 
-@pytest.mark.parametrize("skeleton", [BODY22, PAIR17, Skeleton("one", ("root",), (-1,))], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "skeleton", [BODY22, PAIR17, Skeleton("one", ("root",), (-1,))], ids=lambda skeleton: skeleton.name
+)
 @pytest.mark.parametrize("batch", [(), (0,), (1,), (7,), (3, 2)], ids=str)
 @pytest.mark.parametrize("bodies", ["one body", "a body each", "a body a person"])
 def test_it_is_the_recursion_to_the_last_bit(skeleton: Skeleton, batch: tuple[int, ...], bodies: str) -> None:

@@ -164,13 +164,13 @@ def test_files_hold_the_motion_with_hips_as_root_and_no_bone_without_length() ->
     poses = hold_hips(reconstruction(walk(12) + np.array([0.4, 0.0, -2.0]))).positions_m
     body = body_through(poses)
     motion = Motion(BODY22, body.offsets_m, *pose_body(body, poses), 24.0)
-    one = HumanoidMotion(motion, 7, np.arange(12) > 1)
+    person = HumanoidMotion(motion, 7, np.arange(12) > 1)
     truth = motion.world()[0]
-    made = read_npz(write_npz(one), "motion")
-    assert made["joint_names"].tolist() == list(HUMANOID.joint_names)
-    np.testing.assert_allclose(made["positions_m"][:, : BODY22.num_joints], truth, atol=1e-12)
+    arrays = read_npz(write_npz(person), "motion")
+    assert arrays["joint_names"].tolist() == list(HUMANOID.joint_names)
+    np.testing.assert_allclose(arrays["positions_m"][:, : BODY22.num_joints], truth, atol=1e-12)
     for units, metres in (("cm", 0.01), ("m", 1.0)):
-        source = read_bvh(one.bvh(units)).to_motion(metres_per_unit=metres, rate_hz=24.0)
+        source = read_bvh(person.bvh(units)).to_motion(metres_per_unit=metres, rate_hz=24.0)
         names = source.skeleton.joint_names
         assert names[source.skeleton.root] == "Hips"
         assert set(names) == set(HUMANOID.joint_names)

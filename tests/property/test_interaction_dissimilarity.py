@@ -105,8 +105,8 @@ def test_masked_dissimilarity_is_symmetric_rigid_and_the_plain_form(seed: int, d
     moved = first @ rotmat.T + rng.normal(size=dimension)
     assert interaction_dissimilarity(moved, second) == pytest.approx(expected, rel=1e-6, abs=1e-9)
     # The same shape, other points of it hidden.
-    other = hidden(rng, complete[0], share) @ rotmat.T
-    assert interaction_dissimilarity(first, other) == pytest.approx(0.0, abs=1e-6)
+    elsewhere = hidden(rng, complete[0], share) @ rotmat.T
+    assert interaction_dissimilarity(first, elsewhere) == pytest.approx(0.0, abs=1e-6)
     # Points that are given again count again.
     assert interaction_dissimilarity(*np.where(np.isnan([first, second]), complete, [first, second])) == (
         interaction_dissimilarity(*complete)
@@ -187,9 +187,9 @@ def test_spatial_dissimilarities_ignore_rigid_motion_of_the_pair(seed: int) -> N
     assert interaction_dissimilarity(moved, second) == pytest.approx(interaction_dissimilarity(first, second), rel=1e-6)
     assert cartesian_dissimilarity(moved, second) == pytest.approx(cartesian_dissimilarity(first, second), rel=1e-9)
     # One person moved is another pair.
-    other = first.copy()
-    other[17:] += [0.3, 0.0, 0.0]
-    assert cartesian_dissimilarity(other, first) > 0.05
+    apart = first.copy()
+    apart[17:] += [0.3, 0.0, 0.0]
+    assert cartesian_dissimilarity(apart, first) > 0.05
 
 
 def test_compiled_minima_agree_with_the_definition() -> None:
@@ -248,10 +248,10 @@ def test_coverage_refuses_nothing_and_nan() -> None:
 def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints: int) -> None:
     """Also where joints are odd or few in number, and where several others are nearly as near as each other."""
     rng = np.random.default_rng(seed)
-    truth, others = rng.normal(size=(4, 2, num_joints, 3)), rng.normal(size=(9, 2, num_joints, 3))
-    others[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))
+    truth, pairs = rng.normal(size=(4, 2, num_joints, 3)), rng.normal(size=(9, 2, num_joints, 3))
+    pairs[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))
     coverage = Coverage(truth)
-    for part in (others[:0], others[:5], others[5:]):
+    for part in (pairs[:0], pairs[:5], pairs[5:]):
         coverage.add(pair_table(part))
-    distances = interaction_distances(truth, others)
+    distances = interaction_distances(truth, pairs)
     np.testing.assert_allclose(coverage.interaction_m, distances.min(axis=1), rtol=0, atol=1e-12)

@@ -39,14 +39,14 @@ def _random_pose(skeleton: Skeleton, seed: int, frames: int = 3) -> tuple[Array,
 @given(seeds)
 def test_rotation_forms_agree_with_scipy(seed: int) -> None:
     reference = Rotation.random(20, rng=seed)
-    other = Rotation.random(20, rng=seed ^ 1)
+    second = Rotation.random(20, rng=seed ^ 1)
     quat = reference.as_quat()
     vectors = np.random.default_rng(seed).normal(size=(20, 3))
     assert np.allclose(rot.rotmat_from_unitquat(quat), reference.as_matrix())
     assert np.allclose(rot.unitquat_from_rotmat(reference.as_matrix()), reference.as_quat(canonical=True))
     assert np.allclose(rot.rotvec_from_unitquat(quat), reference.as_rotvec())
     assert np.allclose(rot.rotate(quat, vectors), reference.apply(vectors))
-    assert np.allclose(np.abs(np.sum(rot.multiply(quat, other.as_quat()) * (reference * other).as_quat(), -1)), 1.0)
+    assert np.allclose(np.abs(np.sum(rot.multiply(quat, second.as_quat()) * (reference * second).as_quat(), -1)), 1.0)
 
 
 @given(st.floats(0.0, np.pi - 1e-6), seeds)

@@ -41,17 +41,17 @@ def test_the_nearest_pairs_are_the_best_of_both_orders_by_brute_force(
     weights = rng.uniform(0, 1, (4, 2, 14))
     found, exchanged = search_pairs(build_index(database), query, weights, num_neighbours=num_neighbours)
     both = [
-        search_brute_force(database, one.reshape(4, 28, 2), weight.reshape(4, 28), num_neighbours=num_neighbours)
-        for one, weight in ((query, weights), (query[:, ::-1], weights[:, ::-1]))
+        search_brute_force(database, image.reshape(4, 28, 2), weight.reshape(4, 28), num_neighbours=num_neighbours)
+        for image, weight in ((query, weights), (query[:, ::-1], weights[:, ::-1]))
     ]
     for at in range(4):
-        ways = [
+        matches = [
             (distance, is_exchanged, projection)
-            for is_exchanged, way in enumerate(both)
-            for distance, projection in zip(way.distance_m[at], way.projection[at], strict=True)
+            for is_exchanged, neighbours in enumerate(both)
+            for distance, projection in zip(neighbours.distance_m[at], neighbours.projection[at], strict=True)
             if projection >= 0
         ]
-        distance, is_exchanged, projection = np.array(sorted(ways)[:num_neighbours]).reshape(-1, 3).T
+        distance, is_exchanged, projection = np.array(sorted(matches)[:num_neighbours]).reshape(-1, 3).T
         count = len(projection)
         np.testing.assert_array_equal(found.distance_m[at, :count], distance)
         np.testing.assert_array_equal(exchanged[at, :count], is_exchanged)

@@ -138,14 +138,16 @@ def test_a_repetition_never_learns_from_what_it_tests_and_never_tests_what_a_mod
 ) -> None:
     names = {f"take-{number}" for number, drawn in enumerate(takes) if number in seen and not drawn.is_held_out}
     options = OneTraining.model_construct(shares=shares, seed=0, seen=tuple(names))
-    made = [planned_take(number, drawn) for number, drawn in enumerate(takes)]
-    train, test = ({take.name for take in side} for side in split_takes(made, options, np.random.default_rng(seed)))
+    manifests = [planned_take(number, drawn) for number, drawn in enumerate(takes)]
+    train, test = (
+        {take.name for take in side} for side in split_takes(manifests, options, np.random.default_rng(seed))
+    )
     held_out = {f"take-{number}" for number, drawn in enumerate(takes) if drawn.is_held_out}
     assert not train & test
     assert not train & held_out
     assert not test & names
-    for kind in {interaction_of(take) for take in made}:
-        performances = {take.name for take in made if interaction_of(take) == kind}
+    for kind in {interaction_of(take) for take in manifests}:
+        performances = {take.name for take in manifests if interaction_of(take) == kind}
         num_test = max(round({"80/10/10": 0.1, "50/20/30": 0.3}[shares] * len(performances)), 1)
         unseen, saved = performances - names, performances & held_out
         assert len(test & performances) == min(num_test, len(unseen))

@@ -42,8 +42,8 @@ def film(truth: np.ndarray, *, offset_s: float, rate: float, is_lens_known: bool
     lens = replace(lens, focal_px=1200.0) if is_lens_known else lens
     number = truth.shape[1] - 1
     return [
-        Track(px[:, number - one], confidence[:, number - one], FILM_HZ, lens, person_id=one)
-        for one in range(number + 1)
+        Track(px[:, number - person], confidence[:, number - person], FILM_HZ, lens, person_id=person)
+        for person in range(number + 1)
     ]
 
 
@@ -70,8 +70,7 @@ def test_people_clocks_and_camera_are_found_back(rate: float, is_lens_known: boo
 def test_what_the_film_never_shows_of_people_does_not_make_them_taller() -> None:
     truth = people(50, 51)
     seen = film(truth, offset_s=1.0, rate=1.0)
-    hidden = [np.where(np.arange(14) == 0, 0.0, one.confidence) for one in seen]
-    cut = [replace(one, confidence=own) for one, own in zip(seen, hidden, strict=True)]
+    cut = [replace(track, confidence=np.where(np.arange(14) == 0, 0.0, track.confidence)) for track in seen]
     whole, headless = (align_film(tracks, truth, HZ).residual for tracks in (seen, cut))
     assert headless == pytest.approx(whole, rel=0.2)
 
@@ -82,6 +81,6 @@ def test_another_motion_and_too_few_people_are_refused() -> None:
         align_film(seen, people(60, 61)[::-1], HZ)
     with pytest.raises(InputError, match="the film shows 1 person, the take has 2"):
         align_film(seen[:1], people(50, 51), HZ)
-    unseen = [replace(one, confidence=np.zeros_like(one.confidence)) for one in seen]
+    unseen = [replace(track, confidence=np.zeros_like(track.confidence)) for track in seen]
     with pytest.raises(InputError, match="no clock brings enough joints"):
         align_film(unseen, people(50, 51), HZ)

@@ -212,9 +212,9 @@ def test_joints_of_a_key_frame_that_were_only_tracked_are_tracked_anew_and_not_h
     assert sorted(set(given.frame.tolist())) == [0, 7, 15, 30, 45]
     _, status = by_frame(waltz, annotated(waltz, given).frames)
     assert (status[7, :, WRIST] == KeypointStatus.ANNOTATED).all()
-    others = np.arange(17) != WRIST
-    assert (status[:16, :, others] > KeypointStatus.MISSING).all()
-    assert (status[7][:, others] < KeypointStatus.DETECTED).all()
+    rest = np.arange(17) != WRIST
+    assert (status[:16, :, rest] > KeypointStatus.MISSING).all()
+    assert (status[7][:, rest] < KeypointStatus.DETECTED).all()
 
 
 def corrected_wrist(film: Film, shot: AnnotatedShot, frame: int) -> AnnotatedFrames:

@@ -23,8 +23,8 @@ ORDERS = ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 
 
 def test_files_of_one_rig_keep_their_own_motion_and_the_lines_of_their_faults() -> None:
-    other = BVH_SMALL.replace("Frames: 3", "Frames: 2").rsplit("\n", 2)[0] + "\n"
-    assert [read_bvh(text).num_frames for text in (BVH_SMALL, other, BVH_SMALL)] == [3, 2, 3]
+    shorter = BVH_SMALL.replace("Frames: 3", "Frames: 2").rsplit("\n", 2)[0] + "\n"
+    assert [read_bvh(text).num_frames for text in (BVH_SMALL, shorter, BVH_SMALL)] == [3, 2, 3]
     late = "# exported\n\n" + BVH_SMALL.replace("Frame Time: ", "Frame Time: x")
     line = next(at for at, text in enumerate(late.split("\n"), 1) if text.startswith("Frame Time"))
     with pytest.raises(FormatError, match=f"line {line}: "):

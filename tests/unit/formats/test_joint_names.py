@@ -186,7 +186,7 @@ def test_a_layout_of_ones_own_takes_names_where_they_are_its_own_and_else_the_or
     text = (
         f'keypoints = {theirs}\n[joints]\nhead = "head"\nleft_wrist = "l_paw"\nright_wrist = "r_paw"\npelvis = "waist"'
     )
-    own, px = read_layout(text), np.array([[[5.0, 1.0], [9.0, 4.0], [1.0, 4.0], [5.0, 8.0]]])
+    layout, px = read_layout(text), np.array([[[5.0, 1.0], [9.0, 4.0], [1.0, 4.0], [5.0, 8.0]]])
     joints = [PAIR17.index(name) for name in ("head", "left_wrist", "right_wrist", "pelvis")]
     for names, order in (
         (theirs, [0, 1, 2, 3]),
@@ -194,5 +194,5 @@ def test_a_layout_of_ones_own_takes_names_where_they_are_its_own_and_else_the_or
         (["a", "b", "c", "d"], [0, 1, 2, 3]),
     ):
         text = "\n".join(f"0,{name},{x},{y}" for name, (x, y) in zip(names, px[0][order], strict=True))
-        found = read_annotation_csv(f"frame,joint,x,y\n{text}\n", layout=own)
+        found = read_annotation_csv(f"frame,joint,x,y\n{text}\n", layout=layout)
         np.testing.assert_array_equal(found.keypoints_px[0, joints], px[0])

@@ -97,8 +97,8 @@ def test_a_fault_of_an_openpose_file_is_named(text: str, sentence: str) -> None:
 def test_a_layout_other_than_the_files_is_refused() -> None:
     kind, files = ANNOTATION_FORMATS["openpose"], openpose_files(openpose_text("coco18"))
     assert read_annotations(kind, files, source_id="s", layout="coco18").layout == "coco18"
-    own = replace(KEYPOINT_LAYOUTS["coco18"], name="mine")  # its joints are put in our own order
-    assert read_annotations(kind, files, source_id="s", layout=own).layout == "pair17"
+    renamed = replace(KEYPOINT_LAYOUTS["coco18"], name="mine")  # its joints are put in our own order
+    assert read_annotations(kind, files, source_id="s", layout=renamed).layout == "pair17"
     with pytest.raises(InputError, match="the layout 'body25' is asked for, but the files have 18 keypoints"):
         read_annotations(kind, files, source_id="s", layout="body25")
     with pytest.raises(FormatError, match=r"w_0_.*: person 0 has 18 keypoints and w_1_.* has 25: a source has one"):

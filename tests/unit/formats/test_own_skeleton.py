@@ -66,63 +66,63 @@ def assert_same(found: Motion, expected: Motion, *, metres: float, degrees: floa
     assert np.rad2deg(angle_between(turns[:, :joints], expected_turns).max()) < degrees
 
 
-def scaled(own: OwnSkeleton, bone_scale: np.ndarray) -> np.ndarray:
+def scaled(rigged: OwnSkeleton, bone_scale: np.ndarray) -> np.ndarray:
     """Return the source's bone directions with other lengths: what a body of these proportions makes of it."""
-    body = own.body.of(own.motion)
+    body = rigged.body.of(rigged.motion)
     lengths = np.median(bone_lengths(BODY22, body), axis=0)
     return place_bones(BODY22, body[:, BODY22.root], bone_directions(BODY22, body), lengths * bone_scale)
 
 
 def test_at_scale_one_the_source_comes_back_from_its_own_body22(tmp_path: Path) -> None:
-    for own in (rig(), walk(tmp_path)):
+    for rigged in (rig(), walk(tmp_path)):
         ones = np.ones(BODY22.num_joints)
-        assert_same(own.posed(own.body.of(own.motion), ones), own.motion, metres=1e-9, degrees=1e-4)
+        assert_same(rigged.posed(rigged.body.of(rigged.motion), ones), rigged.motion, metres=1e-9, degrees=1e-4)
         # A variant's bones are constant, while the neck of ASF spans two joints that move.
-        assert_same(own.retargeted(scaled(own, ones), ones).motion, own.motion, metres=1e-9, degrees=1e-4)
+        assert_same(rigged.retargeted(scaled(rigged, ones), ones).motion, rigged.motion, metres=1e-9, degrees=1e-4)
 
 
 @settings(max_examples=25)
 @given(scale=st.floats(0.5, 1.5))
 def test_a_uniform_scale_scales_every_offset_and_turns_nothing(scale: float) -> None:
-    own = rig()
+    rigged = rig()
     scales = np.full(BODY22.num_joints, scale)
-    worn = own.retargeted(scaled(own, scales), scales)
-    np.testing.assert_allclose(worn.motion.rest_offsets_m[1:], scale * own.motion.rest_offsets_m[1:], atol=1e-9)
-    assert np.rad2deg(angle_between(worn.motion.world()[1], own.motion.world()[1]).max()) < 1e-3
+    worn = rigged.retargeted(scaled(rigged, scales), scales)
+    np.testing.assert_allclose(worn.motion.rest_offsets_m[1:], scale * rigged.motion.rest_offsets_m[1:], atol=1e-9)
+    assert np.rad2deg(angle_between(worn.motion.world()[1], rigged.motion.world()[1]).max()) < 1e-3
 
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 10_000))
 def test_bones_have_the_lengths_asked_for_and_hands_and_feet_lie_where_they_are_wanted(seed: int) -> None:
-    own = rig(seed)
+    rigged = rig(seed)
     rng = np.random.default_rng(seed)
     scales = rng.uniform(0.75, 1.25, BODY22.num_joints)[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
-    wanted = scaled(own, scales)
-    worn = own.retargeted(wanted, scales)
+    wanted = scaled(rigged, scales)
+    worn = rigged.retargeted(wanted, scales)
     body = worn.body.of(worn.motion)
     rigid = [joint for joint in range(1, BODY22.num_joints) if BODY22.joint_names[joint] != "head"]
     lengths, expected = (bone_lengths(BODY22, places)[:, rigid] for places in (body, wanted[:1]))
     np.testing.assert_allclose(lengths, np.broadcast_to(expected, lengths.shape), rtol=1e-3)
     assert np.linalg.norm(body - wanted, axis=-1)[:, EXTREMITIES].max() < 5e-3
-    thumb, crown = own.motion.skeleton.indices(["LeftHandThumb1", "Head_end"])
+    thumb, crown = rigged.motion.skeleton.indices(["LeftHandThumb1", "Head_end"])
     np.testing.assert_allclose(
-        worn.motion.local_unitquat[:, [thumb, crown]], own.motion.local_unitquat[:, [thumb, crown]], atol=1e-9
+        worn.motion.local_unitquat[:, [thumb, crown]], rigged.motion.local_unitquat[:, [thumb, crown]], atol=1e-9
     )
-    after, before = (np.linalg.norm(skeleton.motion.rest_offsets_m[thumb]) for skeleton in (worn, own))
+    after, before = (np.linalg.norm(skeleton.motion.rest_offsets_m[thumb]) for skeleton in (worn, rigged))
     assert after / before == pytest.approx(scales[BODY22.index("left_wrist")], rel=1e-3)
 
 
 def test_a_standing_rest_pose_leaves_joints_and_global_rotations_where_they_are(tmp_path: Path) -> None:
-    for own in (rig(), walk(tmp_path)):
-        stood = standing(own)
-        places, turns = own.motion.world()
+    for rigged in (rig(), walk(tmp_path)):
+        stood = standing(rigged)
+        places, turns = rigged.motion.world()
         its_places, its_turns = stood.motion.world()
         np.testing.assert_allclose(its_places, places, atol=1e-9)
         frames = multiply(its_turns[0] * [-1, -1, -1, 1], turns[0])
         np.testing.assert_allclose(
             np.abs((multiply(its_turns, np.broadcast_to(frames, its_turns.shape)) * turns).sum(-1)), 1.0, atol=1e-9
         )
-        np.testing.assert_allclose(stood.body.of(stood.motion), own.body.of(own.motion), atol=1e-9)
+        np.testing.assert_allclose(stood.body.of(stood.motion), rigged.body.of(rigged.motion), atol=1e-9)
         rest = dict(zip(BODY22.joint_names, stood.rest_body22_m, strict=True))
         for side, sign in (("left", 1.0), ("right", -1.0)):
             arm = rest[f"{side}_wrist"] - rest[f"{side}_shoulder"]
@@ -136,13 +136,13 @@ def test_a_standing_rest_pose_leaves_joints_and_global_rotations_where_they_are(
 
 
 def test_every_joint_that_is_drawn_has_a_length(tmp_path: Path) -> None:
-    for own in (
+    for rigged in (
         rig(),
         walk(tmp_path),
         OwnSkeleton(figure_motion(), body_map(LAYOUTS["body22"], BODY22, figure_motion().rest_offsets_m)),
     ):
-        motion = with_end_sites(own).motion
-        assert_same(motion, own.motion, metres=0.0, degrees=1e-5)
+        motion = with_end_sites(rigged).motion
+        assert_same(motion, rigged.motion, metres=0.0, degrees=1e-5)
         for joint, name in enumerate(motion.skeleton.joint_names):
             below = list(motion.skeleton.children(joint))
             if below:
@@ -165,31 +165,31 @@ def test_a_last_joint_that_lies_on_the_one_before_goes_on_as_the_last_bone_that_
 
 
 def test_other_frames_than_the_motion_has_are_refused() -> None:
-    own = rig()
+    rigged = rig()
     with pytest.raises(InputError, match="body22 has the shape \\(3, 22, 3\\); the motion has 12 frames"):
-        own.posed(own.body.of(own.motion)[:3], np.ones(BODY22.num_joints))
+        rigged.posed(rigged.body.of(rigged.motion)[:3], np.ones(BODY22.num_joints))
 
 
 def test_weights_derive_body22_of_real_files_as_their_layouts_do(data_dir: Path) -> None:
     for name, motion in real_motions(data_dir).items():
         layout = find_layout(motion.skeleton, motion.rest_offsets_m)
         part = motion.first_frames(60)
-        own = OwnSkeleton(part, body_map(layout, part.skeleton, part.rest_offsets_m))
+        rigged = OwnSkeleton(part, body_map(layout, part.skeleton, part.rest_offsets_m))
         wanted = derive_working_poses(part, layout).body22_m
-        np.testing.assert_allclose(own.body.of(part), wanted, atol=1e-9, err_msg=name)
-        assert_same(own.posed(own.body.of(part), np.ones(BODY22.num_joints)), part, metres=1e-8, degrees=1e-4)
+        np.testing.assert_allclose(rigged.body.of(part), wanted, atol=1e-9, err_msg=name)
+        assert_same(rigged.posed(rigged.body.of(part), np.ones(BODY22.num_joints)), part, metres=1e-8, degrees=1e-4)
 
 
 def test_straight_legs_stay_straight_when_a_variant_bends_its_back() -> None:
-    own = rig()
-    still = own.motion.local_unitquat.copy()
-    still[:, own.motion.skeleton.indices(["LeftUpLeg", "LeftLeg", "RightUpLeg", "RightLeg"])] = [0.0, 0.0, 0.0, 1.0]
-    own = OwnSkeleton(replace(own.motion, local_unitquat=still), own.body)
+    rigged = rig()
+    still = rigged.motion.local_unitquat.copy()
+    still[:, rigged.motion.skeleton.indices(["LeftUpLeg", "LeftLeg", "RightUpLeg", "RightLeg"])] = [0.0, 0.0, 0.0, 1.0]
+    rigged = OwnSkeleton(replace(rigged.motion, local_unitquat=still), rigged.body)
     ones = np.ones(BODY22.num_joints)
-    wanted = scaled(own, ones)
+    wanted = scaled(rigged, ones)
     above = BODY22.indices(name for name in BODY22.joint_names if not name.endswith(("hip", "knee", "ankle", "toe")))
     wanted[::2, above] += [0.0, 0.01, 0.0]  # every other frame the whole trunk is a centimetre further from the hips
-    worn = own.retargeted(wanted, ones)
+    worn = rigged.retargeted(wanted, ones)
     away_m = np.linalg.norm(worn.body.of(worn.motion) - wanted, axis=-1)
     assert away_m[:, EXTREMITIES].max() < 1e-3
     assert away_m[:, BODY22.indices(["left_knee", "right_knee"])].max() < 0.015

@@ -10,7 +10,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17, WORKING_SKELETONS, JointMa
 from pasdedeux.skeletons.mapping import weighted_points
 
 
-@pytest.mark.parametrize("skeleton", WORKING_SKELETONS.values(), ids=lambda s: s.name)
+@pytest.mark.parametrize("skeleton", WORKING_SKELETONS.values(), ids=lambda skeleton: skeleton.name)
 def test_order_visits_every_parent_before_its_children(skeleton: Skeleton) -> None:
     seen: set[int] = set()
     for joint in skeleton.order:
@@ -20,7 +20,7 @@ def test_order_visits_every_parent_before_its_children(skeleton: Skeleton) -> No
     assert seen == set(range(skeleton.num_joints))
 
 
-@pytest.mark.parametrize("skeleton", WORKING_SKELETONS.values(), ids=lambda s: s.name)
+@pytest.mark.parametrize("skeleton", WORKING_SKELETONS.values(), ids=lambda skeleton: skeleton.name)
 def test_mirroring_twice_is_the_identity_and_keeps_the_tree(skeleton: Skeleton) -> None:
     mirror = np.array(skeleton.mirror)
     assert (mirror[mirror] == np.arange(skeleton.num_joints)).all()
@@ -89,7 +89,7 @@ def test_a_mapping_names_the_source_joint_it_misses() -> None:
         mapping.matrix(["a", "c"])
 
 
-@pytest.mark.parametrize("skeleton", [PAIR17, OP14, BODY22], ids=lambda one: one.name)
+@pytest.mark.parametrize("skeleton", [PAIR17, OP14, BODY22], ids=lambda skeleton: skeleton.name)
 def test_limbs_are_chains_and_left_ones_mirror_right_ones(skeleton: Skeleton) -> None:
     for root, middle, end in skeleton.limbs:
         assert skeleton.parents[end] == middle

@@ -58,8 +58,8 @@ def test_a_body_of_an_asf_file_has_its_bones(tmp_path: Path) -> None:
     rest = SourceMotion.at_rest(asf.skeleton, asf.rest_offsets).to_motion(
         metres_per_unit=asf.metres_per_unit, rate_hz=1.0
     )
-    own = OwnSkeleton(rest, body_map(LAYOUTS["cmu_asf"], rest.skeleton, rest.rest_offsets_m))
-    body = body_of_skeleton("90.asf", own, "cmu_asf")
+    rigged = OwnSkeleton(rest, body_map(LAYOUTS["cmu_asf"], rest.skeleton, rest.rest_offsets_m))
+    body = body_of_skeleton("90.asf", rigged, "cmu_asf")
     fit = fitted(body)
     # 0.42 m from knee to ankle, 0.28 m from shoulder to elbow: what the file was written with.
     for joint, length_m in (("left_ankle", 0.42), ("right_elbow", 0.28)):
@@ -67,7 +67,7 @@ def test_a_body_of_an_asf_file_has_its_bones(tmp_path: Path) -> None:
         assert fit.bone_scale[at] * LENGTHS[at] == pytest.approx(length_m, rel=1e-3)
     # The spines of both layouts have their joints at other places: it is scaled as a whole.
     assert np.ptp(fit.bone_scale[BODY22.indices(["spine1", "spine2", "spine3", "neck"])]) < 0.05
-    again = fit_body(body, own, bone_lengths(BODY22, own.rest_body22_m), layout="cmu_asf", who="A")
+    again = fit_body(body, rigged, bone_lengths(BODY22, rigged.rest_body22_m), layout="cmu_asf", who="A")
     np.testing.assert_allclose(again.bone_scale[1:], 1.0, atol=1e-6)
 
 

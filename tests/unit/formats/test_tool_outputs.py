@@ -46,7 +46,7 @@ def long(people: int, columns: str, row: str) -> str:
     values = [
         (f, p, "AB"[p], NAMES[k], *xyc, k + 1) for f, p, table in listed(people) for k, xyc in enumerate(table.tolist())
     ]
-    return "\n".join([columns, *(row.format(*one) for one in values)])
+    return "\n".join([columns, *(row.format(*value) for value in values)])
 
 
 def deeplabcut(people: int, index: Callable[[int], list[str]]) -> list[str]:
@@ -88,9 +88,9 @@ ALONE = [table.tolist() for _, _, table in listed(1)]
 NAMED = [
     [
         {"name": name, "x": x, "y": y, "score": sure}
-        for name, (x, y, sure) in reversed(list(zip(NAMES, one, strict=True)))
+        for name, (x, y, sure) in reversed(list(zip(NAMES, table, strict=True)))
     ]
-    for one in ALONE
+    for table in ALONE
 ]
 ONE, TWO = wide(1, lambda person, name: name), wide(2, lambda person, name: f"p{person + 1}_{name}")
 ONE_AXIS_FIRST = [re.sub(r"(\w+)_([xyc])\b", r"\2_\1", ONE[0]), *ONE[1:]]
@@ -113,15 +113,15 @@ TEXTS = {
     "lists of lists of one person": json.dumps(ALONE),
     "lists by frame": json.dumps({str(frame): people for frame, people in enumerate(BY_FRAME)}),
     "lists by image": json.dumps({f"img ({frame}).jpg": people for frame, people in enumerate(BY_FRAME)}),
-    "flat lists": json.dumps([[[value for point in one for value in point] for one in people] for people in BY_FRAME]),
+    "flat lists": json.dumps([[[*chain(*table)] for table in people] for people in BY_FRAME]),
     "wide table with axes first, one person": "\n".join(ONE_AXIS_FIRST),
     "our rows by number of joint": long(2, "frame,person,joint,x,y,confidence", "{0}.0,{1}.0,{7},{4},{5},{6}"),
     "people by number in frames by number": json.dumps(BY_NAME),
     "people by name in frames by image": json.dumps(
-        {f"img ({f}).jpg": {"AB"[int(p)]: one for p, one in people.items()} for f, people in BY_NAME.items()}
+        {f"img ({f}).jpg": {"AB"[int(p)]: joints for p, joints in people.items()} for f, people in BY_NAME.items()}
     ),
     "people by name in a list of frames": json.dumps(
-        [{"AB"[int(p)]: one for p, one in people.items()} for people in BY_NAME.values()]
+        [{"AB"[int(p)]: joints for p, joints in people.items()} for people in BY_NAME.values()]
     ),
     "frames by number in people by number": json.dumps(
         {f"person_{p}": {f: BY_NAME[f][p] for f in BY_NAME} for p in "01"}
@@ -137,13 +137,16 @@ TEXTS = {
         {
             f"{f}.jpg": {
                 "version": "AlphaPose v0.3",
-                "people": [{"pose_keypoints_2d": [*chain(*one)]} for one in people],
+                "people": [{"pose_keypoints_2d": [*chain(*table)]} for table in people],
             }
             for f, people in enumerate(BY_FRAME)
         }
     ),
     "AlphaPose's lists of bodies": json.dumps(
-        {f"{f}.jpg": {"bodies": [{"joints": [*chain(*one)]} for one in people]} for f, people in enumerate(BY_FRAME)}
+        {
+            f"{f}.jpg": {"bodies": [{"joints": [*chain(*table)]} for table in people]}
+            for f, people in enumerate(BY_FRAME)
+        }
     ),
     "rows with a frame and an image": long(
         2, "image,frame,person,keypoint,x,y,score", "film_{0}_12.jpg,{0},{1},{3},{4},{5},{6}"
@@ -153,7 +156,7 @@ TEXTS = {
     ),
     "rows with an image as frame": long(2, "frame,person,keypoint,x,y,score", "{0}.jpg,{1},{3},{4},{5},{6}"),
     "our rows with an image": long(2, "image,frame,person,joint,x,y,confidence", "a_{0}.jpg,{0},{1},{3},{4},{5},{6}"),
-    "points with names, one person": json.dumps([{"frame": at, "keypoints": one} for at, one in enumerate(NAMED)]),
+    "points with names, one person": json.dumps([{"frame": f, "keypoints": points} for f, points in enumerate(NAMED)]),
     "wide table, one person": "\n".join(ONE),
     "wide table in camel case, one person": "\n".join(wide(1, lambda person, name: name.title().replace("_", ""))),
     "wide table of two people": "\n".join(TWO),
@@ -267,7 +270,7 @@ def test_the_first_landmarks_of_mediapipe_are_no_other_detectors(count: int) -> 
 @pytest.mark.parametrize("layout", ["coco17", "coco18", "body25", "body25b", "h36m17"])
 def test_points_of_other_detectors_by_number_are_theirs(layout: str) -> None:
     tables = [t.tolist() for _, _, t in listed(1, layout)]
-    data = json.dumps([{"landmarks": [{"x": x, "y": y} for x, y, _ in one]} for one in tables]).encode()
+    data = json.dumps([{"landmarks": [{"x": x, "y": y} for x, y, _ in table]} for table in tables]).encode()
     found = read_annotations(recognise_format(data), {"a": data}, source_id="s")
     assert found.layout == layout
 

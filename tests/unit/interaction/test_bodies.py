@@ -41,7 +41,7 @@ def field(points: np.ndarray, cones: Cones) -> np.ndarray:
     return np.asarray(surface_field(points, _packed(cones), cones.is_beside, _SMOOTH_M))
 
 
-@pytest.mark.parametrize("skeleton", [BODY22, PAIR17, OP14], ids=lambda one: one.name)
+@pytest.mark.parametrize("skeleton", [BODY22, PAIR17, OP14], ids=lambda skeleton: skeleton.name)
 @pytest.mark.parametrize("stature_m", STATURES_M)
 def test_a_body_is_one_closed_surface_that_looks_outwards(skeleton: Skeleton, stature_m: float) -> None:
     body = standing_body(skeleton, stature_m)
@@ -100,8 +100,8 @@ def test_the_field_is_the_smooth_union_of_cones_that_meet(length_m: float) -> No
     )
     least = away.min(axis=1)
     blended = [
-        own - _SMOOTH_M * np.log(np.exp((least[:, None] - away[:, beside]) / _SMOOTH_M).sum(axis=1))
-        for own, beside in zip(away.T, cones.is_beside, strict=True)
+        distance - _SMOOTH_M * np.log(np.exp((least[:, None] - away[:, beside]) / _SMOOTH_M).sum(axis=1))
+        for distance, beside in zip(away.T, cones.is_beside, strict=True)
     ]
     is_close = np.abs(least) < 1.0
     np.testing.assert_allclose(field(points, cones)[is_close], np.min(blended, axis=0)[is_close], atol=1e-5)

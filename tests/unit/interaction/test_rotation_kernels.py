@@ -18,7 +18,7 @@ def run_kit(quaternions, vectors):
         a, b = rotation_kernels.row_of(vectors[at], 0), rotation_kernels.row_of(vectors[at], 1)
         x = rotation_kernels.rotate(p, (1.0, 0.0, 0.0))
         y, z = rotation_kernels.rotate(p, (0.0, 1.0, 0.0)), rotation_kernels.rotate(p, (0.0, 0.0, 1.0))
-        one, two = rotation_kernels.normalise(a), rotation_kernels.normalise(b)
+        unit_a, unit_b = rotation_kernels.normalise(a), rotation_kernels.normalise(b)
         row = (
             *rotation_kernels.multiply(p, rotation_kernels.conjugate(q)),
             *rotation_kernels.rotate(p, a),
@@ -26,7 +26,7 @@ def run_kit(quaternions, vectors):
             *rotation_kernels.rotvec_from_unitquat(p),
             *rotation_kernels.swing_between(a, b),
             *rotation_kernels.unitquat_from_axes(x, y, z),
-            *rotation_kernels.carry(one, two, one),
+            *rotation_kernels.carry(unit_a, unit_b, unit_a),
             rotation_kernels.length(rotation_kernels.subtract(a, b)),
         )
         for part in range(26):

@@ -25,7 +25,7 @@ def rows(first: int, last: int, person_id: int, *, x_px: float = 0.0, size: floa
 
 
 def together(*people: dict) -> dict[str, np.ndarray]:
-    return {name: np.concatenate([one[name] for one in people]) for name in ("frame", "person_id", "px")}
+    return {name: np.concatenate([part[name] for part in people]) for name in ("frame", "person_id", "px")}
 
 
 def breaks(*people: dict) -> list[Break]:
@@ -77,7 +77,7 @@ def test_a_person_lost_twice_is_one_and_the_table_of_people_says_so_and_overrule
     resolved = resolve_people(seen)
     assert set(resolved.frames.person_id.tolist()) == {0, 3}
     (sequence,) = resolved.sequences
-    assert [one.in_words() for one in sequence.joined] == ["clip,85,110,1,0", "clip,150,190,2,0"]
+    assert [decision.in_words() for decision in sequence.joined] == ["clip,85,110,1,0", "clip,150,190,2,0"]
     assert set(sequence.joined) < set(sequence.decisions)
     said = sequence.in_words()
     assert "0 ends where 2 begins, and is taken for the same person from frame 150 on" in said
@@ -100,7 +100,7 @@ def test_rows_that_show_nobody_are_joined_with_the_others_and_never_two_of_one_f
     found["px"][:5] = found["px"][-5:] = np.nan
     lost = {name: values[:41] for name, values in lost.items()}
     (sequence,) = resolve_people(source(lost, found)).sequences
-    assert [one.in_words() for one in sequence.joined] == ["clip,85,130,2,0"]
+    assert [decision.in_words() for decision in sequence.joined] == ["clip,85,130,2,0"]
 
 
 def test_the_row_of_a_break_joins_it() -> None:

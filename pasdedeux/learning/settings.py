@@ -49,14 +49,22 @@ class SegmentSettings(Settings):
 
     num_steps: int = Field(2000, ge=1, description="Steps of training")
     segment_steps: int = Field(200, ge=1, description="Steps of a segment, the unit that is stored and resumed")
-    patience: int = Field(
-        4, ge=1, description="Segments without a smaller validation error after which training ends early"
+    patience: int | None = Field(
+        None,
+        ge=1,
+        description="Segments without a smaller validation error after which training ends early; by default two "
+        "fifths of all, at least 4",
     )
 
     @property
     def num_segments(self) -> int:
         """Number of segments of the training."""
         return -(-self.num_steps // self.segment_steps)
+
+    @property
+    def patience_of_length(self) -> int:
+        """Patience as set, or as the length of the training asks for: while the rate is high, figures rise and fall."""
+        return self.patience or max(4, 2 * self.num_segments // 5)
 
 
 class WindowSettings(SegmentSettings, NetworkSettings):

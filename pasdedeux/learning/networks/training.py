@@ -92,7 +92,7 @@ def train_segment(
 ) -> tuple[list[LogEntry], dict[str, npt.NDArray[Any]]]:
     """Take the steps of one segment; the network is left with the best parameters by validation so far.
 
-    After `settings.patience` segments without a smaller validation error no more steps are taken.
+    After `settings.patience_of_length` segments without a smaller validation error no more steps are taken.
 
     Args:
         name: Name of the model, for messages.
@@ -114,7 +114,7 @@ def train_segment(
     first = segment * settings.segment_steps
     steps = range(first, min(first + settings.segment_steps, settings.num_steps))
     num_worse = int(state["num_worse"][0]) if segment else 0
-    if num_worse >= settings.patience:
+    if num_worse >= settings.patience_of_length:
         network.load_state_dict(_part(state, "best"))
         return [LogEntry(steps.stop, VALIDATION_FALL, 0.0), *_activities(network, draw, steps.stop)], dict(state)
     optimiser = torch.optim.Adam(network.parameters(), fused=True)

@@ -15,6 +15,7 @@ from pasdedeux.choreography.duets import make_duet
 from pasdedeux.learning.model import ACTIVITY, LogEntry, Trained, TrainingItem, VariantRequest
 from pasdedeux.learning.networks.layers import activity
 from pasdedeux.learning.networks.training import train_segment
+from pasdedeux.learning.settings import SegmentSettings
 from pasdedeux.learning.window_vae import Action2MotionLikeModel, ActorLikeModel, PaperCvaeModel, WindowVae
 from pasdedeux.learning.windows import Window, gather_windows
 from pasdedeux.verdict import Level
@@ -103,6 +104,14 @@ def test_a_layer_that_died_is_found_and_fails_the_verdict_of_the_training() -> N
     assert (verdict.level, "g_gru2.out.1 0 %" in verdict.reason) == (Level.FAIL, True)
     alive = _judge("net", Trained(model, [one for one in log if one.value > 1.0]), lambda: iter(()))
     assert alive.level is Level.WARN
+
+
+@pytest.mark.parametrize(
+    ("num_steps", "patience", "expected"), [(600, None, 4), (1_600, None, 4), (3_200, None, 6), (3_200, 2, 2)]
+)
+def test_longer_trainings_wait_longer(num_steps: int, patience: int | None, expected: int) -> None:
+    settings = SegmentSettings(num_steps=num_steps, segment_steps=200, patience=patience)
+    assert settings.patience_of_length == expected
 
 
 def test_training_ends_where_validation_falls_no_more_and_leaves_the_best_parameters() -> None:

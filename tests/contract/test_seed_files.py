@@ -29,7 +29,7 @@ from tasks.seeds.files import SeedFile, pair_of_draw
 from tasks.shards import HerePool
 from tasks.stage import StageInputs
 from tests.builders.made_poses import pair_bvh
-from tests.builders.real_study import build_here, call_in_process, never_begun
+from tests.builders.real_study import build_here, call_in_process, refused
 
 PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
 
@@ -47,8 +47,8 @@ held_out = ["hug"]
 virtual_video = {{ num_random_views = 8 }}
 
 [seeds]
-num_seeds = {num_seeds}
-files = [{{ path = "{path}"{more} }}]
+num_seeds = 0
+files = [{{ path = "seed.json"{more} }}]
 
 [chains]
 densities = ["ic"]
@@ -60,10 +60,35 @@ num_views = 3
 """
 
 
-def write_study(folder: Path, *, path: str = "seed.json", more: str = "", num_seeds: int = 0) -> Path:
+OF_TAKES = ("seeds.files=[]", "seeds.num_seeds=2")
+
+
+def write_study(folder: Path, *, more: str = "") -> Path:
     study = folder / "edited.toml"
-    study.write_text(STUDY.format(path=path, more=more, num_seeds=num_seeds))
+    study.write_text(STUDY.format(more=more))
     return study
+
+
+@pytest.fixture(scope="module")
+def edited(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Return a store with the study of two seeds of takes; nothing may be computed in it."""
+    folder = tmp_path_factory.mktemp("edited")
+    build_here(write_study(folder), folder / "store", *OF_TAKES)
+    return Store(folder / "store")
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[Run]:
+    """Let `restart` build in this process; return what was run."""
+    begun: list[Run] = []
+
+    def build(run: Run, *_: object, **__: object) -> None:
+        plan = make_plan(run.study, run.graph, run.store, run.selection)
+        execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
+        begun.append(run)
+
+    monkeypatch.setattr("flows.console.restart.build_and_report", build)
+    return begun
 
 
 def planned(store: Store, file: SeedFile) -> list[Manifest]:
@@ -71,10 +96,9 @@ def planned(store: Store, file: SeedFile) -> list[Manifest]:
     return [store.manifest(seeds.run_shard(shard, store)) for shard in shards]
 
 
-def test_a_seed_of_a_file_is_the_pair_in_it_with_its_lineage(tmp_path: Path) -> None:
+def test_a_seed_of_a_file_is_the_pair_in_it_with_its_lineage(store: Store, tmp_path: Path) -> None:
     source = PairSource("someone", "CC0", "made it")
     (tmp_path / "a.json").write_text(write_pair_json(PairFile(PAIR, "draws@abc#3", ("one",), (source,))))
-    store = Store(tmp_path / "store")
     (made,) = planned(store, SeedFile(path=tmp_path / "a.json", takes=("two",)))
     table = store.read(made.ref, "seeds")
     np.testing.assert_allclose(table["pair17_m"][0], PAIR, atol=1e-12)
@@ -83,10 +107,9 @@ def test_a_seed_of_a_file_is_the_pair_in_it_with_its_lineage(tmp_path: Path) -> 
     assert [(one.name, one.licence, one.credit) for one in made.sources] == [("someone", "CC0", "made it")]
 
 
-def test_a_seed_of_two_bvh_files_is_the_pair_in_them(tmp_path: Path) -> None:
+def test_a_seed_of_two_bvh_files_is_the_pair_in_them(store: Store, tmp_path: Path) -> None:
     for name, text in zip("ab", pair_bvh(PAIR), strict=True):
         (tmp_path / f"{name}.bvh").write_text(text)
-    store = Store(tmp_path / "store")
     (made,) = planned(store, SeedFile(path=tmp_path / "a.bvh", other=tmp_path / "b.bvh"))
     table = store.read(made.ref, "seeds")
     np.testing.assert_allclose(table["pair17_m"][0], PAIR, atol=2e-6)
@@ -103,13 +126,13 @@ def test_where_a_file_lies_does_not_matter_and_what_it_holds_does(tmp_path: Path
     assert keys[0] == keys[1] != keys[2]
 
 
-def test_a_file_that_changes_between_plan_and_run_is_noticed(tmp_path: Path) -> None:
+def test_a_file_that_changes_between_plan_and_run_is_noticed(store: Store, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text(write_pair_json(PairFile(PAIR)))
     (shard,) = seeds.plan(StageInputs({}, seed=1), SeedsParameters(num_seeds=0, files=[SeedFile(path=path)]))
     path.write_text(write_pair_json(PairFile(PAIR + 0.1)))
     with pytest.raises(InputError, match="changed since the run was planned"):
-        seeds.run_shard(shard, Store(tmp_path / "store"))
+        seeds.run_shard(shard, store)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +140,6 @@ def test_a_file_that_changes_between_plan_and_run_is_noticed(tmp_path: Path) -> 
     [
         (None, "", "seed.json does not exist"),
         ("{", "", "seeds.files: seed.json: this pair is not valid JSON: line "),
-        ("{}", "", "seeds.files: seed.json: this is no pair: format: Field required"),
         ("HIERARCHY", "", "seed.json is the BVH of one person; `other` must name that of person B"),
         (write_pair_json(PairFile(PAIR)), ', other = "b.bvh"', "b.bvh does not exist"),
         (write_pair_json(PairFile(PAIR)).replace("head", "hat"), "", "person A: joint 'head' is missing"),
@@ -128,31 +150,25 @@ def test_a_wrong_file_is_one_sentence_before_any_work(
 ) -> None:
     if text is not None:
         (tmp_path / "seed.json").write_text(text)
-    study = write_study(tmp_path, more=more)
-    found = call_in_process(capsys, "run", study, "--store", tmp_path / "store")
-    assert found.code == 2
-    assert message in found.err
-    assert found.err.count("\n") == 1
-    assert never_begun(tmp_path / "store")
+    assert message in refused(capsys, write_study(tmp_path, more=more))
 
 
 def test_a_seed_made_from_a_take_that_is_held_out_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    edited: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "seed.json").write_text(write_pair_json(PairFile(PAIR, takes=("hug",))))
     study = write_study(tmp_path)
-    build_here(study, tmp_path / "store", "seeds.files=[]", "seeds.num_seeds=1")
-    found = call_in_process(capsys, "run", study, "--store", tmp_path / "store")
+    found = call_in_process(capsys, "run", study, "--store", edited.root)
     assert found.code == 2
     assert "seed.json was made from take 'hug', which this study holds out" in found.err
 
 
+@pytest.mark.usefixtures("runs")
 def test_a_draw_becomes_the_seed_of_new_chains(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    edited: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`restart` itself, but for Prefect and the cluster: the file is the draw exactly, and the new chains know it."""
-    store = Store(tmp_path / "store")
-    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1")
+    store = Store(shutil.copytree(edited.root, tmp_path / "store"))
     row = 11
     chosen = pair_of_draw(store, f"draws:edited#{row}")
     shutil.copytree(store.folder("chains", chosen.ref.key), store.folder("chains", OLD_KEY))
@@ -161,17 +177,11 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     before = len(list(store.artifacts()))
     stored = np.asarray(open_table("draws:edited", store)["pair17_m"][row])
     np.testing.assert_allclose(chosen.pair.pair_m, stored, atol=1e-6)
-
-    def build(run: Run, *_: object, **__: object) -> None:
-        plan = make_plan(run.study, run.graph, run.store, run.selection)
-        execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
-
-    monkeypatch.setattr("flows.console.restart.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")
     # What has the same content is of that study too, such as what an older version of the stage has made.
-    refused = call_in_process(capsys, "restart", f"draws@{OLD_KEY}#{chosen.row}", *options, "--set", "chains.bad=1")
-    assert refused.code == 2
-    assert "chains.bad: unknown" in refused.err
+    answer = call_in_process(capsys, "restart", f"draws@{OLD_KEY}#{chosen.row}", *options, "--set", "chains.bad=1")
+    assert answer.code == 2
+    assert "chains.bad: unknown" in answer.err
     assert not (tmp_path / "out").exists()
     fewer = ("--set", "chains.num_draws=4", "--set", "chains.num_chains=1")
     answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, *fewer)
@@ -193,109 +203,84 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     assert {source.name for source in made.sources} == {source.name for source in chosen.pair.sources}
 
 
-def test_a_draw_of_a_sweep_is_gone_on_from_with_the_keys_of_the_sweep_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = Store(tmp_path / "store")
-    wide = "chains.sweep.wide={sigma_l = 0.1}"
-    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1", wide)
-    row = open_table("draws:edited", store)["density"].tolist().index("wide")
-    runs: list[Run] = []
-    monkeypatch.setattr("flows.console.restart.build_and_report", lambda run, *_, **__: runs.append(run))
-    options = ("--store", store.root, "--out", tmp_path / "out")
-    answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options)
-    assert answer.code == 0, answer.err
-    chains = runs[0].study.parameters["chains"]
-    assert (chains.densities, chains.sigma_l, chains.sweep) == (("ic",), 0.1, {})
-
-
-def test_draws_of_every_kind_start_chains_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_draws_of_every_kind_start_chains_again_with_the_keys_of_their_sweep_alone(
+    store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str], runs: list[Run]
 ) -> None:
     """Of chains, repaired pairs and sweeps of both, in a study whose chains start at what its own seeds grow."""
-    store = Store(tmp_path / "store")
     sweeps = "chains.sweep={repaired = {densities = ['ic']}, wide = {starts = 'grown', sigma_l = 0.1}}"
     more = ("seeds.num_grown=4", "seeds.num_filled=2", "seeds.num_starts=1")
     base = ("chains.starts=every", "chains.repair_steps=2", sweeps)
     build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1", *more, *base)
     kinds = open_table("draws:edited", store)["density"].tolist()
     assert set(kinds) == {f"ic{REPAIRED}", "repaired", "wide"}
-    runs: list[Run] = []
-
-    def build(run: Run, *_: object, **__: object) -> None:
-        plan = make_plan(run.study, run.graph, run.store, run.selection)
-        execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
-        runs.append(run)
-
-    monkeypatch.setattr("flows.console.restart.build_and_report", build)
     fewer = ("--set", "chains.num_draws=4", "--set", "chains.num_chains=1")
     for kind in sorted(set(kinds)):
         draw = f"draws:edited#{kinds.index(kind)}"
         answer = call_in_process(capsys, "restart", draw, "--store", store.root, "--out", tmp_path / "out", *fewer)
         assert answer.code == 0, answer.err
         assert open_table(f"draws:{runs[-1].study.name}", store)["density"].tolist() == ["ic"] * 4
+        chains = runs[-1].study.parameters["chains"]
+        assert (chains.densities, chains.sweep) == (("ic",), {})
+        assert (chains.sigma_l == 0.1) == (kind == "wide")
 
 
-def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store(tmp_path / "store")
-    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=2")
-    shown = call_in_process(capsys, "show", "draws:edited", "--rows", "20", "--store", store.root).out
-    place = re.findall(r"^  #(\d+) density=ic, seed_index=(\d+), chain=(\d+)", shown, re.MULTILINE)
-    draws = open_table("draws:edited", store)
-    assert [tuple(map(int, one)) for one in place] == [
+def test_draws_are_shown_by_the_row_that_restart_takes(edited: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = call_in_process(capsys, "show", "draws:edited", "--rows", "20", "--store", edited.root).out
+    places = re.findall(r"^  #(\d+) density=ic, seed_index=(\d+), chain=(\d+)", shown, re.MULTILINE)
+    draws = open_table("draws:edited", edited)
+    assert [tuple(map(int, place)) for place in places] == [
         (row, draws["seed_index"][row], draws["chain"][row]) for row in range(20)
     ]
-    found = [one for one in store.artifacts("chains") if "draws" in one.tables]
-    (shard,) = CHAINS.plan(StageInputs({"draws": found[::-1]}, seed=1), CHAINS.settings())
-    (picture,) = CHAINS.pictures(CHAINS.compute(shard, store))
+    drawn = [manifest for manifest in edited.artifacts("chains") if "draws" in manifest.tables]
+    (shard,) = CHAINS.plan(StageInputs({"draws": drawn[::-1]}, seed=1), CHAINS.settings())
+    (picture,) = CHAINS.pictures(CHAINS.compute(shard, edited))
     assert picture.name == "draws-ic.player.json"
     scene = json.loads(picture.content)
     points = np.frombuffer(base64.b64decode(scene["data"]), dtype="<i2").reshape(scene["num_frames"], -1, 3)
     assert len(scene["labels"]) == 8
     for label, drawn in zip(scene["labels"], points[:, :34] * scene["unit_m"], strict=True):
-        pair = pair_of_draw(store, label.replace("STUDY", "edited")).pair.pair_m.reshape(34, 3)
+        pair = pair_of_draw(edited, label.replace("STUDY", "edited")).pair.pair_m.reshape(34, 3)
         np.testing.assert_allclose(np.ptp(drawn - pair, axis=0), 0.0, atol=2.5 * scene["unit_m"])
         assert -0.3 < drawn[:, 1].min() < 0.3, "feet are about where the ground is drawn"
 
 
-def test_what_is_no_draw_cannot_be_restarted_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store(tmp_path / "store")
-    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1")
+def test_what_is_no_draw_cannot_be_restarted_from(
+    edited: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for text, message in (
         ("seeds:edited#0", "is not a draw"),
         ("draws:edited", "is not a draw"),
-        ("draws:edited#16", "there is no row 16, the table has 16 rows here"),
+        ("draws:edited#32", "there is no row 32, the table has 32 rows here"),
         ("draws@ffffffff#0", "no artifact"),
         ("draws:other#0", "has not run"),
     ):
-        answer = call_in_process(capsys, "restart", text, "--store", store.root, "--out", tmp_path / "out")
+        answer = call_in_process(capsys, "restart", text, "--store", edited.root, "--out", tmp_path / "out")
         assert answer.code == 2, text
         assert message in answer.err
         assert not (tmp_path / "out").exists()
 
 
-def test_exported_seeds_and_draws_come_in_again(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
-    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=2")
-    seed = np.asarray(open_table("seeds:edited", store)["pair17_m"])
+def test_exported_seeds_and_draws_come_in_again(edited: Store, store: Store, tmp_path: Path) -> None:
+    seed_m = open_table("seeds:edited", edited)["pair17_m"][1]
     out = tmp_path / "out"
-    as_json = export_reference(store, "seeds:edited", "json", out)
+    as_json = export_reference(edited, "seeds:edited", "json", out)
     assert [path.name for path in as_json] == ["seed0.json", "seed1.json", "CREDITS.txt"]
-    as_bvh = export_reference(store, "seeds:edited#1", "bvh", out)
+    as_bvh = export_reference(edited, "seeds:edited#1", "bvh", out)
     assert [path.name for path in as_bvh] == ["seed1.A.bvh", "seed1.B.bvh", "UNITS.txt", "CREDITS.txt"]
     (exact,) = planned(store, SeedFile(path=out / "seed1.json"))
     (close,) = planned(store, SeedFile(path=out / "seed1.A.bvh", other=out / "seed1.B.bvh"))
-    np.testing.assert_allclose(store.read(exact.ref, "seeds")["pair17_m"][0], seed[1], atol=1e-12)
-    np.testing.assert_allclose(store.read(close.ref, "seeds")["pair17_m"][0], seed[1], atol=2e-6)
+    np.testing.assert_allclose(store.read(exact.ref, "seeds")["pair17_m"][0], seed_m, atol=1e-12)
+    np.testing.assert_allclose(store.read(close.ref, "seeds")["pair17_m"][0], seed_m, atol=2e-6)
     assert exact.facts["takes"] == ["waltz"]
-    (draw, _) = export_reference(store, "draws:edited#3", "json", out)
+    (draw, _) = export_reference(edited, "draws:edited#3", "json", out)
     assert json.loads(draw.read_text())["made_from"].endswith("#3")
     with pytest.raises(InputError, match="allowed are seeds and single draws"):
-        export_reference(store, "draws:edited", "json", out)
+        export_reference(edited, "draws:edited", "json", out)
 
 
-def test_a_pair_that_lacks_joints_is_completed_by_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store(tmp_path / "store")
+def test_a_pair_that_lacks_joints_is_completed_by_draws(
+    store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     source = PairSource("someone", "CC0", "made it")
     (tmp_path / "a.json").write_text(write_pair_json(PairFile(PAIR, "draws@abc#3", ("one",), (source,))))
     (made,) = planned(store, SeedFile(path=tmp_path / "a.json"))
@@ -319,6 +304,6 @@ def test_a_pair_that_lacks_joints_is_completed_by_draws(tmp_path: Path, capsys: 
         (json.dumps(tree | {"unit": "cm"}), options[1], "part.json: this is no pair: unit: Input should be 'm'"),
     ):
         (tmp_path / "part.json").write_text(text)
-        refused = call_in_process(capsys, "complete", tmp_path / "part.json", "--draws", reference, *options[2:])
-        assert (refused.code, refused.err.count("\n")) == (2, 1)
-        assert message in refused.err
+        answer = call_in_process(capsys, "complete", tmp_path / "part.json", "--draws", reference, *options[2:])
+        assert (answer.code, answer.err.count("\n")) == (2, 1)
+        assert message in answer.err

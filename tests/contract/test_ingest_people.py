@@ -11,8 +11,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from storage_schema import Manifest, Store, TableData
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
+from tests.builders.ingest_runs import planned, run
 from tests.builders.own_sources import film_duet, write_coco
 
 DUET = {"duets": [{"name": "waltz", "duration_s": 3.0}]}
@@ -20,16 +19,14 @@ DUET = {"duets": [{"name": "waltz", "duration_s": 3.0}]}
 
 def ingested(store: Store, **section: Any) -> dict[str, Manifest]:
     """Return the artifacts of all shards by name."""
-    shards = STAGE.plan(StageInputs(manifests={}, seed=5), IngestParameters.model_validate(section))
-    return {shard.name: store.manifest(STAGE.run_shard(shard, store)) for shard in shards}
+    return {name: made for (_, name), made in run(store, planned(**section)).items()}
 
 
 def annotations(store: Store, manifest: Manifest) -> TableData:
     return store.read(manifest.ref, "annotations")
 
 
-def test_a_detector_sees_the_same_video_worse_and_everybody_is_found_again(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_a_detector_sees_the_same_video_worse_and_everybody_is_found_again(store: Store) -> None:
     video = {"num_random_views": 0, "noise_px": 5.0, "has_detector": True}
     made = ingested(store, **DUET, virtual_video=video)
     plain, seen = (annotations(store, made[name]) for name in ("video", "detector"))
@@ -39,11 +36,11 @@ def test_a_detector_sees_the_same_video_worse_and_everybody_is_found_again(tmp_p
     assert facts["couples"] == [[0, 1]]
     assert facts["num_people"] == facts["num_true_people"] == 3
     for person in (0, 1):
-        one, other = (np.flatnonzero(table["person_id"] == person) for table in (plain, seen))
-        assert set(seen["partner_id"][other].tolist()) == {1 - person}
-        at = np.searchsorted(plain["frame"][one], seen["frame"][other])
-        px, truth = seen["pair17_px"][other], plain["pair17_px"][one][at]
-        is_seen = seen["pair17_confidence"][other] > 0
+        true_rows, rows = (np.flatnonzero(table["person_id"] == person) for table in (plain, seen))
+        assert set(seen["partner_id"][rows].tolist()) == {1 - person}
+        at = np.searchsorted(plain["frame"][true_rows], seen["frame"][rows])
+        px, truth = seen["pair17_px"][rows], plain["pair17_px"][true_rows][at]
+        is_seen = seen["pair17_confidence"][rows] > 0
         same = np.isclose(px, truth, atol=1e-3).all(axis=-1)
         assert 0.7 < is_seen.mean() < 0.8, "10 % are missing and 3 of 19 are junk, which is masked"
         assert same[is_seen].mean() > 0.99
@@ -53,8 +50,7 @@ def test_a_detector_sees_the_same_video_worse_and_everybody_is_found_again(tmp_p
     assert plain.num_rows == 180
 
 
-def test_a_video_without_a_detector_is_as_it_was(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_a_video_without_a_detector_is_as_it_was(store: Store) -> None:
     made = ingested(store, **DUET, virtual_video={"num_random_views": 3})
     table = annotations(store, made["random_views"])
     np.testing.assert_array_equal(table["partner_id"], 1 - table["person_id"])
@@ -62,8 +58,7 @@ def test_a_video_without_a_detector_is_as_it_was(tmp_path: Path) -> None:
     assert "detector" not in made
 
 
-def test_shuffled_results_without_track_ids_are_as_good_as_people_given(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_shuffled_results_without_track_ids_are_as_good_as_people_given(store: Store, tmp_path: Path) -> None:
     duet = film_duet("waltz", duration_s=2.0, rate_hz=30.0)
     write_coco(tmp_path / "tracks.json", duet)
     tracks = json.loads((tmp_path / "tracks.json").read_text())["annotations"]
@@ -79,12 +74,11 @@ def test_shuffled_results_without_track_ids_are_as_good_as_people_given(tmp_path
         assert made.facts["couples"][0]["person_ids"] == [0, 1]
         table = annotations(store, made)
         assert table.num_rows == 120
-        people.append({table["op14_px"][table["person_id"] == one].tobytes() for one in (0, 1)})
+        people.append({table["op14_px"][table["person_id"] == person].tobytes() for person in (0, 1)})
     assert people[0] == people[1]
 
 
-def test_what_was_decided_is_written_and_a_changed_copy_overrules_it(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_what_was_decided_is_written_and_a_changed_copy_overrules_it(store: Store, tmp_path: Path) -> None:
     write_coco(tmp_path / "duet.json", film_duet("waltz", duration_s=1.0, rate_hz=30.0))
     source = {"id": "clip", "path": tmp_path / "duet.json", "rate_hz": 30.0}
     (made,) = ingested(store, annotations=[source]).values()
@@ -97,16 +91,12 @@ def test_what_was_decided_is_written_and_a_changed_copy_overrules_it(tmp_path: P
     assert set(table["person_id"].tolist()) == {0}
     assert table.is_null("partner_id").all()
     assert alone.ref.key != made.ref.key
-    again = store.attachment(alone.ref, "people.csv").decode()
-    assert again == people.read_text()
-    people.write_text(written.replace("clip,0,29,1,1", "clip,0,29,7,1"))
-    with pytest.raises(
-        InputError, match=r"annotations clip: people of 'clip', row 'clip,0,29,7,1': there is no person 7"
+    assert store.attachment(alone.ref, "people.csv").decode() == people.read_text()
+    for text, message in (
+        ("clip,0,29,7,1", r"annotations clip: people of 'clip', row 'clip,0,29,7,1': there is no person 7"),
+        ("other,0,29,1,1", "there is no such sequence; sequences: clip"),
+        ("clip,0,29", r"annotations clip: people\.csv: line 3"),
     ):
-        ingested(store, annotations=[source | {"people_file": people}])
-    people.write_text(written.replace("clip,0,29,1,1", "other,0,29,1,1"))
-    with pytest.raises(InputError, match="there is no such sequence; sequences: clip"):
-        ingested(store, annotations=[source | {"people_file": people}])
-    people.write_text("who,is,who\n")
-    with pytest.raises(InputError, match=r"annotations clip: people\.csv: line 1: column 'who' is unknown or double"):
-        ingested(store, annotations=[source | {"people_file": people}])
+        people.write_text(written.replace("clip,0,29,1,1", text))
+        with pytest.raises(InputError, match=message):
+            ingested(store, annotations=[source | {"people_file": people}])

@@ -15,20 +15,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts.recognising import NEEDED
 from storage_schema import Store
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
-from tests.builders.ingest_runs import judged, planned, run
+from tests.builders.ingest_runs import ingest_take, judged
 from tests.builders.rigs import RIGS
 from tests.builders.source_samples import bvh_text
 
-TAKE = """
-virtual_video = {{ num_videos = 0, num_random_views = 0 }}
-
-[[takes]]
-id = "dance"
-files = ["{path}"]
-{layout}
-"""
 CHANGED = """
 [mappings.body22.pair17]
 head = { head = 0.5, neck = 0.5 }
@@ -55,14 +45,13 @@ WRITTEN = "\n\n".join(
 _LIMBS = ("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot")
 
 
-def poses_of(folder: Path, bvh: str, mappings: str, layout: str = "") -> Any:
+def poses_of(folder: Path, bvh: str, mappings: str, **options: Any) -> Any:
     """Ingest one take and return its poses."""
     path = folder / "a.bvh"
     path.write_text(bvh)
-    section = tomllib.loads(TAKE.format(path=path, layout=layout) + mappings)
-    (shard,) = STAGE.plan(StageInputs(manifests={}, seed=0), IngestParameters.model_validate(section))
     store = Store(folder / "store")
-    return store.read(STAGE.run_shard(shard, store), "poses")
+    made = ingest_take(store, {"id": "dance", "files": [path], **options}, **tomllib.loads(mappings))
+    return store.read(made.ref, "poses")
 
 
 def rig_text() -> str:
@@ -82,7 +71,7 @@ def test_an_entry_of_a_known_layout_is_changed_and_the_rest_stays(tmp_path: Path
 
 
 def test_a_layout_that_is_written_in_full_reads_joints_of_any_name(tmp_path: Path) -> None:
-    poses = poses_of(tmp_path, rig_text(), WRITTEN, 'layout = "rig"')
+    poses = poses_of(tmp_path, rig_text(), WRITTEN, layout="rig")
     plain = poses_of(tmp_path, bvh_text(), "")
     np.testing.assert_array_equal(poses["body22_m"], plain["body22_m"])
     hips = np.asarray(plain["body22_m"])[:, BODY22.indices(["left_hip", "right_hip"])].mean(axis=1)
@@ -100,10 +89,10 @@ def test_a_layout_that_is_written_in_full_reads_joints_of_any_name(tmp_path: Pat
 def test_a_mapping_that_is_wrong_is_refused_with_the_name(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     assert old in WRITTEN
     with pytest.raises(InputError, match=rf"take dance: a.bvh: .*{sentence}"):
-        poses_of(tmp_path, rig_text(), WRITTEN.replace(old, new, 1), 'layout = "rig"')
+        poses_of(tmp_path, rig_text(), WRITTEN.replace(old, new, 1), layout="rig")
 
 
-def test_what_a_mapping_says_of_left_and_right_decides_whether_a_file_is_mirrored(tmp_path: Path) -> None:
+def test_what_a_mapping_says_of_left_and_right_decides_whether_a_file_is_mirrored(store: Store, tmp_path: Path) -> None:
     """A file exchanges the names of left and right; a mapping puts that right, so that nothing is left to doubt."""
     rig = RIGS[0]
     parts = {part: rig.names[part] for part in (*NEEDED, "left_toe", "right_toe", "neck")}
@@ -117,12 +106,11 @@ def test_what_a_mapping_says_of_left_and_right_decides_whether_a_file_is_mirrore
     mapped = {"layout": "mine"}, {"mine": {"parts": {part: exchanged(name) for part, name in parts.items()}}}
     for (options, mappings), is_doubted in ((mapped, False), (({}, {}), True)):
         take = {"id": "dance", "files": [path], "metres_per_unit": 0.01, **options}
-        (shard,) = planned(takes=[take], mappings=mappings, virtual_video={"num_videos": 0, "num_random_views": 0})
-        (made,) = run(Store(tmp_path / f"store{is_doubted}"), [shard]).values()
+        made = ingest_take(store, take, mappings=mappings)
         assert ("left and right of a.bvh seem exchanged" in judged(made).reason) == is_doubted
 
 
-def test_what_a_mapping_says_of_head_and_feet_decides_which_axis_is_up(tmp_path: Path) -> None:
+def test_what_a_mapping_says_of_head_and_feet_decides_which_axis_is_up(store: Store, tmp_path: Path) -> None:
     """By the names of a file its body hangs head down; its mapping says which joints are head and feet."""
     rig = replace(RIGS[0], axes="+x +z -y")
     pairs = [("Neck", "LeftToeBase")]
@@ -132,7 +120,5 @@ def test_what_a_mapping_says_of_head_and_feet_decides_which_axis_is_up(tmp_path:
     path.write_text(re.sub(rf"\b({'|'.join(other)})\b", lambda found: other[found[0]], rig.bvh()))
     parts = {part: other[rig.names[part]] for part in (*NEEDED, "neck")}
     take = {"id": "dance", "files": [path], "metres_per_unit": 0.01, "layout": "mine", "floor": "keep"}
-    options = {"virtual_video": {"num_videos": 0, "num_random_views": 0}, "mappings": {"mine": {"parts": parts}}}
-    store = Store(tmp_path / "store")
-    (made,) = run(store, planned(takes=[take], **options)).values()
+    made = ingest_take(store, take, mappings={"mine": {"parts": parts}})
     assert list(store.read(made.ref, "takes")["up_axis"]) == ["z"]

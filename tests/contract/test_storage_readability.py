@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import duckdb
@@ -50,42 +51,38 @@ def assert_rows(table: Table, found: dict[str, list]) -> None:
             np.testing.assert_array_equal(numbers, expected)
 
 
+def read_by_duckdb(path: Path) -> dict[str, list]:
+    with duckdb.connect() as connection:
+        relation = connection.read_parquet(str(path))
+        names, rows = relation.columns, relation.fetchall()
+    return {name: [row[at] for row in rows] for at, name in enumerate(names)}
+
+
+READERS: dict[str, Callable[[Path], dict[str, list]]] = {
+    "pyarrow": lambda path: pq.read_table(path).to_pydict(),
+    "polars": lambda path: pl.read_parquet(path).to_dict(as_series=False),
+    "duckdb": read_by_duckdb,
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize("name", TABLES)
-def test_pyarrow_reads_every_table_with_its_metadata(files: dict[str, Path], name: str) -> None:
-    found = pq.read_table(files[name])
-    assert_rows(TABLES[name], found.to_pydict())
-    assert found.schema.metadata[b"table"].decode() == name
+def test_others_read_every_table(files: dict[str, Path], name: str, reader: str) -> None:
+    assert_rows(TABLES[name], READERS[reader](files[name]))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_columns_carry_their_meaning_and_shape(files: dict[str, Path], name: str) -> None:
+    schema, as_polars_reads = pq.read_schema(files[name]), pl.read_parquet_schema(files[name])
+    assert schema.metadata[b"table"].decode() == name
     for column in TABLES[name].columns:
-        metadata = found.schema.field(column.name).metadata
+        metadata = schema.field(column.name).metadata
         assert metadata[b"meaning"].decode() == column.meaning
         if column.shape:
             assert tuple(json.loads(metadata[b"shape"])) == column.shape
+            assert as_polars_reads[column.name].shape == (int(np.prod(column.shape)),)
         if column.joints:
             assert len(json.loads(metadata[b"joint_names"])) == column.shape[column.axes.index("joint")]
-
-
-def _none_where_missing(value: object) -> object:
-    return None if pd.api.types.is_scalar(value) and pd.isna(value) else value
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_polars_reads_every_table(files: dict[str, Path], name: str) -> None:
-    found = pl.read_parquet(files[name])
-    assert_rows(TABLES[name], found.to_dict(as_series=False))
-    for column in TABLES[name].columns:
-        if column.shape:
-            dtype = found.schema[column.name]
-            assert isinstance(dtype, pl.Array)
-            assert dtype.shape == (int(np.prod(column.shape)),)
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_duckdb_reads_every_table(files: dict[str, Path], name: str) -> None:
-    with duckdb.connect() as connection:
-        relation = connection.read_parquet(str(files[name]))
-        rows = relation.fetchall()
-        columns = relation.columns
-    assert_rows(TABLES[name], {column: [row[i] for row in rows] for i, column in enumerate(columns)})
 
 
 def test_duckdb_queries_across_the_shards_of_a_stage(tmp_path: Path) -> None:

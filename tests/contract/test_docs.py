@@ -1,4 +1,4 @@
-"""README and docs: links lead somewhere, commands and studies exist, snippets and examples of docstrings run."""
+"""README and docs: links lead somewhere, commands, studies, modules and equations exist, snippets and examples run."""
 
 from __future__ import annotations
 
@@ -24,6 +24,12 @@ from tests.builders.storage_rows import commit_rows
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "deploy" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAPERS = (ROOT / "docs" / "papers.md").read_text(encoding="utf-8")
+STUDY_COLUMN = [
+    [cell.strip() for cell in line.strip("|").split("|")][2]
+    for line in PAPERS.splitlines()
+    if line.startswith("| ") and line.count(" | ") == 3
+]
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -162,3 +168,26 @@ def test_the_table_of_humanoid_names_is_that_of_the_code() -> None:
     for joint, name in HUMANOID_NAMES.items():
         is_written = f"| {joint} | {name} |" in page
         assert is_written is not joint.startswith("right_")
+
+
+def test_every_module_of_the_page_on_papers_exists() -> None:
+    modules = set(re.findall(r"`((?:pasdedeux|flows|tasks)/[\w/]+\.py)`", PAPERS))
+    assert len(modules) > 20
+    assert [module for module in sorted(modules) if not (ROOT / module).is_file()] == []
+
+
+def test_every_study_of_the_page_on_papers_ships() -> None:
+    studies = {name for cell in STUDY_COLUMN for name in re.findall(r"`(\w+)`", cell)}
+    assert {"sampling_paper", "projection_paper", "augmentation_paper"} <= studies
+    assert studies - set(shipped_studies()) == set()
+
+
+@pytest.mark.parametrize(
+    ("number", "count"), [(1, 13), (2, 2), (3, 8)], ids=["Yin et al. 2018", "Yiannakides et al. 2019", "Li et al. 2024"]
+)
+def test_every_equation_of_a_paper_has_a_row(number: int, count: int) -> None:
+    cells = re.findall(r"^\| (.*?) \|", PAPERS.split("\n## ")[number], re.MULTILINE)
+    named: set[int] = set()
+    for first, _, second in re.findall(r"\beqs?\. (\d+)( and | to )?(\d+)?", "\n".join(cells)):
+        named |= set(range(int(first), int(second or first) + 1))
+    assert named == set(range(1, count + 1))

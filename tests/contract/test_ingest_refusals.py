@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,49 @@ def pair(tmp_path: Path) -> tuple[Path, Path]:
     return write_figure_pair(tmp_path)
 
 
-def test_files_of_unequal_length_are_trimmed_when_the_study_says_so(pair: tuple[Path, Path]) -> None:
+def put_a_folder_in_its_place(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def cut_the_last_frame(path: Path) -> None:
+    head, _, row = path.read_text().rstrip().rpartition("\n")
+    path.write_text(f"{head}\n{row[: len(row) // 2]}\n")
+
+
+def shrink_a_bone_to_nothing(path: Path) -> None:
+    text = path.read_text()
+    offset = text.index("OFFSET", text.index("JOINT left_knee"))
+    path.write_text(text[:offset] + "OFFSET 0 0 0" + text[text.index("\n", offset) :])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (Path.unlink, "file .*/61_01.bvh does not exist"),
+        (put_a_folder_in_its_place, ".*61_01.bvh is a folder, and a regular file is needed"),
+        (cut_the_last_frame, r"61_01.bvh: line \d+.* values where 69 are needed"),
+        (shrink_a_bone_to_nothing, "61_01.bvh: .*'left_hip' to 'left_knee' of 'pair17'"),
+    ],
+)
+def test_a_bad_file_is_named_with_its_take_and_what_is_wrong(
+    pair: tuple[Path, Path], spoil: Callable[[Path], object], says: str
+) -> None:
+    takes = [{"id": "dance", "files": list(pair)}]
+    assert planned(takes=takes)
+    spoil(pair[1])
+    with pytest.raises(InputError, match=f"^take dance: {says}"):
+        planned(takes=takes)
+
+
+def test_files_of_unequal_length_are_refused_or_trimmed_when_the_study_says_so(pair: tuple[Path, Path]) -> None:
     pair[1].write_text(write_bvh(figure_motion(num_frames=30, rate_hz=60.0)))
-    section = {"id": "d", "files": list(pair)}
-    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters.persons[1].num_frames == 30
+    take = {"id": "d", "files": list(pair)}
+    assert planned(takes=[take | {"on_unequal": "trim"}])[0].parameters.persons[1].num_frames == 30
+    with pytest.raises(InputError, match=r'\(60_01.bvh 40 and 61_01.bvh 30 frames\); set on_unequal = "trim" to keep'):
+        planned(takes=[take])
     with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
-        planned(takes=[section | {"frames": [0, 35]}])
+        planned(takes=[take | {"frames": [0, 35]}])
 
 
 def test_frames_that_one_take_holds_out_and_another_learns_from_are_refused(pair: tuple[Path, Path]) -> None:
@@ -92,8 +130,8 @@ def test_a_style_that_a_duet_does_not_have_is_refused(told: dict[str, Any], sent
         duet_style("waltz", **told)
 
 
-def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+def test_a_file_that_changes_after_planning_is_noticed(store: Store, pair: tuple[Path, Path]) -> None:
     shards = planned(takes=[{"id": "d", "files": list(pair)}])
     pair[0].write_text(pair[0].read_text() + "\n")
     with pytest.raises(InputError, match=r"60_01.bvh changed since the run was planned"):
-        STAGE.run_shard(shards[0], Store(tmp_path / "store"))
+        STAGE.run_shard(shards[0], store)

@@ -41,8 +41,8 @@ def lists(rng):
 
 def draws(rng):
     pairs = rng.normal(size=(300, 2, 17, 3))
-    found = DrawIndex(pairs).nearest(rng.normal(size=(2, 17, 2)), rng.normal(size=(3, 3)), count=5)
-    return np.concatenate([found.draw, found.distance_m])
+    nearest = DrawIndex(pairs).nearest(rng.normal(size=(2, 17, 2)), rng.normal(size=(3, 3)), count=5)
+    return np.concatenate([nearest.draw, nearest.distance_m])
 
 parts = {part.__name__: part for part in (residuals, bones, lists, draws)}
 for name in sys.argv[1:]:
@@ -51,23 +51,27 @@ for name in sys.argv[1:]:
 """
 
 
+def run(script: str, *arguments: str, cache: Path, **environment: str) -> str:
+    """Return what a script prints in a process of its own that keeps compiled kernels in a folder."""
+    return subprocess.run(
+        [sys.executable, "-c", script, *arguments],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+
+
 def test_two_caches_that_were_filled_in_different_orders_agree(tmp_path: Path) -> None:
     names = ["residuals", "bones", "lists", "draws"]
-    found = []
+    printed = []
     for order in (names, names[::-1]):
         cache = tmp_path / order[0]
         for _ in ("compiled", "loaded"):
-            said = subprocess.run(
-                [sys.executable, "-c", SCRIPT, *order],
-                env={**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)},
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            found.append(sorted(said.stdout.split("\n")))
+            printed.append(sorted(run(SCRIPT, *order, cache=cache).splitlines()))
         assert list(cache.rglob("*.nbc"))
-    assert found[0] == found[1] == found[2] == found[3]
-    assert len([line for line in found[0] if line]) == len(names)
+    assert printed[0] == printed[1] == printed[2] == printed[3]
+    assert len(printed[0]) == len(names)
 
 
 COUNTED = """
@@ -77,9 +81,9 @@ counter = event.RecordingListener()
 event.register("numba:compile", counter)
 """
 SAID = """
-ended = [(one.data["dispatcher"].py_func, one.data["args"]) for _, one in counter.buffer if one.is_end]
-own = [f"{made.__module__}.{made.__name__}{taken}" for made, taken in ended if made.__module__.startswith("pasdedeux")]
-print("compiled", *(name.replace(" ", "") for name in own))
+ended = [(event.data["dispatcher"].py_func, event.data["args"]) for _, event in counter.buffer if event.is_end]
+names = [f"{kernel.__module__}.{kernel.__name__}{types}" for kernel, types in ended]
+print("compiled", *(name.replace(" ", "") for name in names if name.startswith("pasdedeux")))
 """
 
 
@@ -112,10 +116,9 @@ def by_two(x):
 def test_code_that_two_processes_compiled_is_told_apart_by_a_third(tmp_path: Path) -> None:
     """Numba numbers symbols from 1 in each process, so that the two closures would have the same one."""
     (tmp_path / "twins.py").write_text(TWINS)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": f"{ROOT}:{tmp_path}"}
     values = ["twins.by_one(0.5)", "twins.by_two(0.5)", "(twins.by_one(0.5), twins.by_two(0.5))"]
     said = [
-        subprocess.check_output([sys.executable, "-c", f"import twins; print({value})"], env=environment, text=True)
+        run(f"import twins; print({value})", cache=tmp_path / "cache", PYTHONPATH=f"{ROOT}:{tmp_path}")
         for value in values
     ]
     assert said == ["1.0\n", "2.0\n", "(1.0, 2.0)\n"]
@@ -142,16 +145,9 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 def test_kernels_that_cannot_be_kept_are_compiled_all_the_same(tmp_path: Path, trouble: str) -> None:
     (tmp_path / "file").touch()
     cache = tmp_path / "file" if trouble == "no folder" else tmp_path / "cache"
-    only = {"NUMBA_CACHE_DIR": str(cache), "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
     script = (FULL if trouble == "full disk" else "") + SCRIPT
-    said = subprocess.run(
-        [sys.executable, "-c", script, "bones"],
-        env={**os.environ, **only, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert said.stdout.startswith("bones ")
+    said = run(script, "bones", cache=cache, NUMBA_CACHE_LOCATOR_CLASSES="UserProvidedCacheLocator")
+    assert said.startswith("bones ")
     assert not list(cache.rglob("*.nbc"))
 
 
@@ -163,7 +159,7 @@ from numpy._core._multiarray_umath import __cpu_features__ as numpy_features
 from threadpoolctl import threadpool_info
 
 parts["product"] = lambda rng: np.exp(rng.normal(size=(70, 90)) @ rng.normal(size=(90, 50)))
-print(sorted({one["architecture"] for one in threadpool_info() if one["internal_api"] == "openblas"}))
+print(sorted({library["architecture"] for library in threadpool_info() if library["internal_api"] == "openblas"}))
 print(numpy_features["X86_V4"], config.CPU_NAME, "avx512" in config.CPU_FEATURES)
 if find_spec("torch") is not None:
     import torch
@@ -181,16 +177,7 @@ def test_processes_under_pinned_instructions_use_no_others_and_agree(
         monkeypatch.setenv(name, value)
     assert pinned_instructions() == pins, "a worker that has one of them otherwise is sent away"
     script = SCRIPT.replace("for name in", f"{PINNED}\nfor name in")
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", script, "residuals", "product"],
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / cache), "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.splitlines()
-        for cache in ("one", "another")
-    ]
-    assert said[0][:2] == ["['Haswell']", "False haswell False"]
-    assert said[0] == said[1]
-    assert len(said[0]) == 4
+    first, second = (run(script, "residuals", "product", cache=tmp_path / cache).splitlines() for cache in ("a", "b"))
+    assert first[:2] == ["['Haswell']", "False haswell False"]
+    assert first == second
+    assert len(first) == 4

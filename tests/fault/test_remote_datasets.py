@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,7 +28,7 @@ from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.datasets import dataset_digest, open_dataset
 from storage_schema.errors import BadName, DatasetExists
 from storage_schema.remote import pull_dataset, push_dataset
-from tests.builders.s3_server import SECRET, S3Server, s3_server
+from tests.builders.s3_server import SECRET, S3Server
 from tests.builders.storage_rows import commit_rows, put, random_columns
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
@@ -40,12 +39,6 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("storage_schema.bucket._PATIENCE_S", 2.0)
-
-
-@pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
-    with s3_server(monkeypatch) as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +55,15 @@ def remote_of(server: S3Server, timeout_s: float = 20.0) -> RemoteStore:
     return RemoteStore(server.place, timeout=timedelta(seconds=timeout_s))
 
 
+def num_puts(server: S3Server) -> int:
+    return sum(request.startswith("PUT") for request in server.requests)
+
+
 def contents(store: Store) -> dict[str, bytes]:
     """Return every file of the artifacts and datasets by its path."""
-    files = [path for path in store.root.rglob("*") if path.is_file()]
-    names = {str(path.relative_to(store.root)): path for path in files}
-    return {
-        name: path.read_bytes() for name, path in names.items() if name.split("/")[0] in ("bend", "judge", "grow")
-    } | {name: path.read_bytes() for name, path in names.items() if name.startswith("datasets")}
+    folders = [store.root / name for name in ("bend", "judge", "grow", "datasets")]
+    files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(store.root)): path.read_bytes() for path in files}
 
 
 def test_a_dataset_comes_back_with_all_that_it_was_computed_from(
@@ -76,13 +71,12 @@ def test_a_dataset_comes_back_with_all_that_it_was_computed_from(
 ) -> None:
     store, dataset = built
     assert push_dataset(store, dataset, remote_of(server)) == 13
-    sent = len([one for one in server.requests if one.startswith("PUT")])
+    sent = num_puts(server)
     assert push_dataset(store, dataset, remote_of(server)) == 0
-    assert len([one for one in server.requests if one.startswith("PUT")]) == sent + 1, "the list alone is tried again"
+    assert num_puts(server) == sent + 1, "the list alone is tried again"
     other = Store(tmp_path / "other")
-    found, num_new = pull_dataset(remote_of(server), "toys", other)
-    assert num_new == 13
-    assert found == replace(dataset, path=other.root / "datasets" / "toys@1")
+    pulled, num_new = pull_dataset(remote_of(server), "toys", other)
+    assert (pulled, num_new) == (replace(dataset, path=other.root / "datasets" / "toys@1"), 13)
     assert contents(other) == contents(store)
     assert verify(other).is_ok
     assert pull_dataset(remote_of(server), "toys@1", other)[1] == 0
@@ -225,19 +219,18 @@ def push_as_before(store: Store, dataset: Dataset, remote: RemoteStore) -> None:
 
 
 def test_what_earlier_releases_pushed_is_pulled_and_checked(
-    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
 ) -> None:
     (store, dataset), remote, other = built, remote_of(server), Store(tmp_path / "other")
     push_as_before(store, dataset, remote)
-    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
     there = Store(server.place)
     there.refresh()
     assert list_datasets(there) == [], "a store in the same place goes on, without the artifacts of that release"
     with pytest.raises(DatasetExists, match="has a dataset toys@1 of an earlier release; name another version"):
         create_dataset(there, "toys", [commit_rows(there, name="more")])
-    found, num_new = pull_dataset(remote, "toys", other)
-    assert (found, num_new) == (replace(dataset, path=other.root / "datasets" / "toys@1"), 13)
-    assert (found.path / "card.md").read_bytes() == b"# Card"
+    pulled, num_new = pull_dataset(remote, "toys", other)
+    assert (pulled, num_new) == (replace(dataset, path=other.root / "datasets" / "toys@1"), 13)
+    assert (pulled.path / "card.md").read_bytes() == b"# Card"
     assert verify(other).is_ok
     assert push_dataset(store, dataset, remote) == 13, "beside it in the form of today"
     assert pull_dataset(remote, "toys", Store(tmp_path / "third"))[1] == 13
@@ -252,9 +245,8 @@ def test_what_earlier_releases_pushed_is_pulled_and_checked(
 
 
 def test_what_is_pushed_is_a_store_and_a_dataset_of_a_store_is_pulled(
-    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
     push_dataset(*built, remote_of(server))
     there = Store(server.place)
     there.refresh()
@@ -274,7 +266,7 @@ def test_what_was_taken_from_the_bucket_before_the_list_was_there_is_pushed_agai
     def take(method: str, path: str) -> str:
         if method == "PUT" and "/datasets/toys" in path:
             server.fault = lambda method, path: ""
-            remote.delete([one["path"] for folder in ("parts", "manifests") for one in remote.entries(folder)])
+            remote.delete([file["path"] for folder in ("parts", "manifests") for file in remote.entries(folder)])
         return ""
 
     server.fault = take
@@ -283,13 +275,13 @@ def test_what_was_taken_from_the_bucket_before_the_list_was_there_is_pushed_agai
 
 
 def test_other_bytes_under_a_key_of_the_bucket_stay(server: S3Server, tmp_path: Path) -> None:
-    one, two = (Store(tmp_path / name) for name in ("one", "two"))
-    for store, note in ((one, b"1"), (two, b"2")):
+    first, second = (Store(tmp_path / name) for name in ("first", "second"))
+    for store, note in ((first, b"1"), (second, b"2")):
         create_dataset(store, store.root.name, [commit_rows(store, attachments={"note.txt": note})])
-    push_dataset(one, open_dataset(one, "one"), remote_of(server))
+    push_dataset(first, open_dataset(first, "first"), remote_of(server))
     with pytest.raises(CorruptArtifact, match=r"has other bytes for artifact .*; push to another prefix"):
-        push_dataset(two, open_dataset(two, "two"), remote_of(server))
-    assert pull_dataset(remote_of(server), "one", Store(tmp_path / "three"))[1] == 1
+        push_dataset(second, open_dataset(second, "second"), remote_of(server))
+    assert pull_dataset(remote_of(server), "first", Store(tmp_path / "third"))[1] == 1
 
 
 def test_other_bytes_of_the_same_length_under_a_key_of_the_bucket_are_noticed(server: S3Server, tmp_path: Path) -> None:

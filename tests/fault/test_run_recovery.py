@@ -40,14 +40,6 @@ Start = Callable[..., RealRun]
 
 
 @pytest.fixture
-def gates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Gates:
-    """Return gates of the toys that this process and all that it starts compute."""
-    gates = Gates(tmp_path)
-    monkeypatch.setenv("TOY_FOLDER", str(gates.folder))
-    return gates
-
-
-@pytest.fixture
 def start(tmp_path: Path, gates: Gates, prefect_home: Path) -> Start:
     """Return a function that starts the run of the toy study with some workers, in a process of its own."""
     study = write_study(tmp_path)

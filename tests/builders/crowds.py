@@ -13,7 +13,7 @@ from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["SALSA_TAKES", "duet_couple", "salsa_couple"]
+__all__ = ["SALSA_TAKES", "duet_couple", "salsa_couple", "salsa_motions"]
 
 Array = npt.NDArray[np.float64]
 
@@ -34,10 +34,15 @@ def duet_couple(name: str, *, duration_s: float = 10.0, rate_hz: float = 30.0, v
     return _couple(list(duet.motions), "body22", rate_hz)
 
 
-def salsa_couple(data_dir: Path, take: str, *, rate_hz: float = 30.0) -> Array:
-    """Positions (frame, 2, 14, 3) of a real salsa take."""
+def salsa_motions(data_dir: Path, take: str) -> list[Motion]:
+    """Return the two people of a real salsa take."""
     motions = []
     for subject, unit in SALSA_METRES_PER_UNIT.items():
         source = read_bvh((data_dir / "cmu_salsa_bvh" / f"{subject}_{take}.bvh").read_bytes())
         motions.append(source.to_motion(metres_per_unit=unit, rate_hz=SALSA_HZ))
-    return _couple(motions, "cmu_daz", rate_hz)
+    return motions
+
+
+def salsa_couple(data_dir: Path, take: str, *, rate_hz: float = 30.0) -> Array:
+    """Positions (frame, 2, 14, 3) of a real salsa take."""
+    return _couple(salsa_motions(data_dir, take), "cmu_daz", rate_hz)

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography.duets import make_duet
-from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.poses2d.annotated_frames import AnnotatedFrames
 from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
@@ -21,7 +20,7 @@ from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_r
 from pasdedeux.plausibility.capsules import RADIUS_PER_HEIGHT
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
-from tests.builders.crowds import SALSA_HZ, SALSA_METRES_PER_UNIT
+from tests.builders.crowds import salsa_motions
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
@@ -49,10 +48,7 @@ def duet_bodies(name: str, *, seconds: float, rate_hz: float = 30.0, frames: sli
 
 def salsa_bodies(data_dir: Path, take: str, frames: slice = slice(None), *, rate_hz: float = 30.0) -> Bodies:
     """Return a piece of a salsa take."""
-    motions = []
-    for subject, unit in SALSA_METRES_PER_UNIT.items():
-        source = read_bvh((data_dir / "cmu_salsa_bvh" / f"{subject}_{take}.bvh").read_bytes())
-        motions.append(source.to_motion(metres_per_unit=unit, rate_hz=SALSA_HZ).resample(rate_hz))
+    motions = [motion.resample(rate_hz) for motion in salsa_motions(data_dir, take)]
     return _bodies(motions, "cmu_daz", frames)
 
 

@@ -22,7 +22,6 @@ STATURE_M = 1.7
 RATE_HZ = 30.0
 NUM_FRAMES = 12
 
-_TRUNK = ("pelvis", "spine1", "spine2", "spine3", "spine4", "neck", "neck2", "head", "crown")
 _ARM = ("collar", "shoulder", "elbow", "wrist", "fingers")
 _LEG = ("hip", "knee", "ankle", "toe", "toe_tip")
 _SPINE_SHARES = {1: (0.45,), 2: (0.23, 0.68), 3: (0.23, 0.45, 0.68), 4: (0.15, 0.33, 0.5, 0.72)}

@@ -114,18 +114,18 @@ def never_begun(store: Path) -> bool:
 def call_in_process(capsys: Any, *arguments: str | Path) -> Answer:
     """Call the command line in this process: for what does not get as far as computing."""
     code = run_command_line([str(argument) for argument in arguments], graph=graph())
-    found = capsys.readouterr()
-    return Answer(code, found.out, found.err)
+    said = capsys.readouterr()
+    return Answer(code, said.out, said.err)
 
 
 def refused(capsys: Any, study: Path, *more: str | Path, commands: Sequence[str] = ("run",)) -> str:
     """Return the one sentence with which commands refuse a study; nothing may have been begun in `store` beside it."""
     store, sentences = study.parent / "store", set()
     for command in commands:
-        found = call_in_process(capsys, command, study, "--store", store, *more)
-        assert (found.code, found.out, found.err.count("\n")) == (2, "", 1), found
-        assert found.err.startswith("error: ")
-        sentences.add(found.err.removeprefix("error: ").rstrip())
+        answer = call_in_process(capsys, command, study, "--store", store, *more)
+        assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1), answer
+        assert answer.err.startswith("error: ")
+        sentences.add(answer.err.removeprefix("error: ").rstrip())
     assert never_begun(store)
     assert len(sentences) == 1
     return sentences.pop()

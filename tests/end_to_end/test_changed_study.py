@@ -16,9 +16,9 @@ pytestmark = pytest.mark.slow
 def planned(small: BuiltStudy, capsys: pytest.CaptureFixture[str], *settings: str) -> dict[str, Any]:
     """Return the stages that are not fresh, by name, as `plan --json` tells them."""
     arguments = [part for setting in settings for part in ("--set", setting)]
-    found = call_in_process(capsys, "plan", small.study, "--store", small.store, "--json", *arguments)
-    assert found.code == 0, found.err
-    return {stage["stage"]: stage for stage in found.json["stages"] if stage["state"] != "fresh"}
+    answer = call_in_process(capsys, "plan", small.study, "--store", small.store, "--json", *arguments)
+    assert answer.code == 0, answer.err
+    return {stage["stage"]: stage for stage in answer.json["stages"] if stage["state"] != "fresh"}
 
 
 def reasons(stage: dict[str, Any]) -> set[str]:

@@ -40,18 +40,18 @@ CHANGES = (
 def raised(name: str) -> Graph:
     """Return the graph with a higher version of one stage."""
     stages = graph().stages
-    (own,) = (stage for stage in stages if stage.name == name)
+    (changed,) = (stage for stage in stages if stage.name == name)
 
     def plan(inputs: StageInputs, parameters: object) -> list[Shard]:
         keys: dict[str, str] = {}
         shards = []
-        for shard in own.plan(inputs, parameters):
+        for shard in changed.plan(inputs, parameters):
             after = tuple(keys[key] for key in shard.after)
             shards.append(replace(shard, version=shard.version + 1, after=after))
             keys[shard.key] = shards[-1].key
         return shards
 
-    return Graph(tuple(replace(stage, plan=plan, early=()) if stage is own else stage for stage in stages))
+    return Graph(tuple(replace(stage, plan=plan, early=()) if stage is changed else stage for stage in stages))
 
 
 def planned(study: Path, store: Path, graph: Graph, *settings: str) -> dict[str, list[tuple[str, str, str, str]]]:
@@ -79,8 +79,7 @@ def built(study: Path, store: Path, graph: Graph, settings: Sequence[str]) -> tu
 def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
     small: BuiltStudy, tmp_path: Path, name: str
 ) -> None:
-    store, once_store = tmp_path / "store", small.store
-    shutil.copytree(small.store, store)
+    store, once_store = small.copy_store(tmp_path), small.store
     publishes = ["publish.name=small", "publish.required=[]"]
     if name == "priors":  # which have something to say of named takes alone
         publishes.append('ingest.prior=["waltz"]')
@@ -111,14 +110,13 @@ def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
 
 
 def test_a_key_without_effect_leaves_everything_fresh(small: BuiltStudy, tmp_path: Path) -> None:
-    store = tmp_path / "store"
-    shutil.copytree(small.store, store)
+    store = small.copy_store(tmp_path)
     run_toys(small.study, store, "ingest.capture.skip_failing=true", graph=graph())
     plan = plan_toys(small.study, store, "ingest.capture.skip_failing=true", graph=graph())
     assert plan.is_fresh
     once = plan_toys(small.study, small.store, graph=graph())
     assert [m.ref for m in plan.manifests] == [m.ref for m in once.manifests]
-    assert [one.stage.name for one in plan.stages if not one.shards] == ["generation"]
+    assert [stage.stage.name for stage in plan.stages if not stage.shards] == ["generation"]
     scores = [open_table("scores:small", where).num_rows for where in (small.store, store)]
     assert scores[0] == scores[1] > 0
 

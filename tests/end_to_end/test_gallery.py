@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -43,10 +42,10 @@ TESTED_ELSEWHERE = (
 )
 
 
-def _run(words: Sequence[str | Path], folder: Path) -> str:
+def _run(words: Sequence[str | Path], folder: Path, **environment: str) -> str:
     """Run an example in an empty folder, with the command line of this environment; return what it printed."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), **environment}
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + done.stderr
@@ -68,14 +67,13 @@ def test_an_example_prints_what_it_promises(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ON_A_STORE)
-def test_an_example_works_on_a_store(name: str, small: BuiltStudy, tmp_path: Path) -> None:
-    store = tmp_path / "store"
-    shutil.copytree(small.store, store)
-    about = small.study if name.startswith("compare") else "poses:small" if name.endswith(".py") else "small"
-    words = [sys.executable, EXAMPLES / name, about, "--store", store, "--out", "joints"]
-    if name.endswith(".sh"):
-        words = ["sh", EXAMPLES / name, about, store]
-    assert re.search(ON_A_STORE[name], _run([str(word) for word in words], tmp_path))
+def test_an_example_works_on_a_store(name: str, small: BuiltStudy, tmp_path: Path, prefect_home: Path) -> None:
+    store, example = small.copy_store(tmp_path), EXAMPLES / name
+    if name.endswith(".py"):
+        words = [sys.executable, example, "poses:small", "--store", store, "--out", "joints"]
+    else:
+        words = ["sh", example, small.study if name.startswith("compare") else "small", store]
+    assert re.search(ON_A_STORE[name], _run(words, tmp_path, PREFECT_HOME=str(prefect_home)))
 
 
 @pytest.mark.slow

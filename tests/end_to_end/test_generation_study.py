@@ -51,14 +51,14 @@ def test_a_model_trained_on_duets_generates_sound_variants_that_are_scored_and_e
     (tmp_path / "drawn.toml").write_text(STUDY)
     build_here(tmp_path / "drawn.toml", tmp_path / "store")
     store = Store(tmp_path / "store")
-    made = list(store.artifacts("generation"))
-    (model,) = [one for one in store.artifacts("training") if "models" in one.tables]
-    takes = [one.ref for one in store.artifacts("ingest") if "poses" in one.tables]
-    stored = StoredVariants(store, takes, [one.ref for one in made])
-    assert {VariantFacts.of(one).take_id for one in made} == {"waltz", "hug", "push_hands"}
+    generated = list(store.artifacts("generation"))
+    (model,) = [manifest for manifest in store.artifacts("training") if "models" in manifest.tables]
+    takes = [manifest.ref for manifest in store.artifacts("ingest") if "poses" in manifest.tables]
+    stored = StoredVariants(store, takes, [manifest.ref for manifest in generated])
+    assert {VariantFacts.of(manifest).take_id for manifest in generated} == {"waltz", "hug", "push_hands"}
     bones = [child for _, child in BODY22.bones]
-    for one in made:
-        facts = VariantFacts.of(one)
+    for manifest in generated:
+        facts = VariantFacts.of(manifest)
         assert facts.origin is not None
         assert (facts.origin.model, facts.origin.artifact) == ("paper_cvae", model.ref.key)
         first, second = stored.items([(facts.take_id, name) for name in facts.variants])
@@ -67,10 +67,10 @@ def test_a_model_trained_on_duets_generates_sound_variants_that_are_scored_and_e
             wanted_m = item.request.source.lengths_m * item.request.bone_scale
             away_m = (bone_lengths(BODY22, item.motion_m) - wanted_m)[..., bones]
             np.testing.assert_allclose(away_m, 0.0, atol=1e-6)
-        quality = store.read(one.ref, "variant_quality")
+        quality = store.read(manifest.ref, "variant_quality")
         assert set(quality["solver"]) == {"model"}
         assert quality["contact_drift_m"].max() < 0.01
-    (topic,) = [one for one in store.artifacts("evaluation") if one.partition == "generation"]
+    (topic,) = [manifest for manifest in store.artifacts("evaluation") if manifest.partition == "generation"]
     scores = store.read(topic.ref, "scores")
     figures = {
         (metric, method): value
@@ -84,5 +84,5 @@ def test_a_model_trained_on_duets_generates_sound_variants_that_are_scored_and_e
     }
     assert figures["FID", "paper_cvae"] < figures["FID", "strangers"]
     assert figures["contact_error", "paper_cvae"] < figures["contact_error", "naive_fk"]
-    paths = export_reference(store, f"variants@{made[0].ref.key[:12]}", "bvh", tmp_path)
+    paths = export_reference(store, f"variants@{generated[0].ref.key[:12]}", "bvh", tmp_path)
     assert sum(path.suffix == ".bvh" for path in paths) == 4

@@ -134,15 +134,15 @@ def test_given_2d_poses_become_upright_motions_near_the_truth_and_not_mirrored(o
     last = list(dict.fromkeys(motions["method"]))[-1]
     for person in (0, 1):
         rows = (motions["person_id"] == person) & (motions["method"] == last)
-        found = motions["op14_m"][rows].astype(np.float64)
+        moved = motions["op14_m"][rows].astype(np.float64)
         frames = motions["frame"][rows]
         assert frames.tolist() == list(range(18))
         np.testing.assert_allclose(motions["time_s"][rows], frames / 12.0, atol=1e-6)
         truth = own.duet.op14_m[frames, person] @ own.duet.camera.camera_from_world_rotmat.T
-        error = {side: error_m(found, points) for side, points in (("true", truth), ("mirrored", mirrored(truth)))}
+        error = {side: error_m(moved, points) for side, points in (("true", truth), ("mirrored", mirrored(truth)))}
         assert error["true"] < 0.2, error
         assert error["true"] < error["mirrored"], error
-        assert np.all(found[:, OP14.index("head"), 1] > found[:, OP14.index("left_ankle"), 1] + 0.8)
+        assert np.all(moved[:, OP14.index("head"), 1] > moved[:, OP14.index("left_ankle"), 1] + 0.8)
 
 
 def test_given_sequences_are_pictured_in_the_report_and_scored_where_their_take_is_known(own: Own) -> None:
@@ -156,13 +156,13 @@ def test_given_sequences_are_pictured_in_the_report_and_scored_where_their_take_
     items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
     people = ("person 0", "person 1", "person 0 with 1")
     videos = {"hug.video00", "known"}
-    assert items == videos | {f"{video} {one}" for video in videos for one in people}
+    assert items == videos | {f"{video} {person}" for video in videos for person in people}
 
 
-def error_m(found: np.ndarray, truth: np.ndarray) -> float:
+def error_m(positions: np.ndarray, truth: np.ndarray) -> float:
     """Return the mean distance over frames and joints, mid-hips laid on each other."""
     hips = OP14.indices(["left_hip", "right_hip"])
-    centred = [points - points[:, hips].mean(axis=1, keepdims=True) for points in (found, truth)]
+    centred = [points - points[:, hips].mean(axis=1, keepdims=True) for points in (positions, truth)]
     return float(np.linalg.norm(centred[0] - centred[1], axis=-1).mean())
 
 
@@ -205,11 +205,11 @@ def test_one_changed_source_file_is_named_and_rebuilds_what_rests_on_it(
     before = path.read_text()
     path.write_text(before.replace('"track_id": 0', '"track_id": 7'))
     try:
-        found = call_in_process(capsys, "plan", own.study, "--store", store, "--json")
+        answer = call_in_process(capsys, "plan", own.study, "--store", store, "--json")
         computed = build_here(own.study, store)
     finally:
         path.write_text(before)
-    stages = {stage["stage"]: stage for stage in found.json["stages"]}
+    stages = {stage["stage"]: stage for stage in answer.json["stages"]}
     unfinished = [shard for shard in stages["ingest"]["shards"] if shard["state"] != "fresh"]
     assert [(shard["partition"], shard["state"], shard["reason"]) for shard in unfinished] == [
         ("labelled", "stale", "file labelled.json changed")
@@ -247,8 +247,8 @@ def test_a_new_study_from_a_source_can_be_planned_as_it_is(
     own: Own, tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
 ) -> None:
     study = tmp_path / "mine.toml"
-    found = call_in_process(capsys, "study", "new", study, "--from", own.study.with_name(source))
-    assert found.code == 0, found.err
+    answer = call_in_process(capsys, "study", "new", study, "--from", own.study.with_name(source))
+    assert answer.code == 0, answer.err
     planned = call_in_process(capsys, "plan", study, "--store", tmp_path / "store", "--json")
     assert planned.code == 0, planned.err
     ingest = planned.json["stages"][0]

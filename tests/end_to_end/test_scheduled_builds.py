@@ -114,7 +114,7 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert {run["state_type"] for run in flow_runs()} == {"COMPLETED"}, said
     assert all(run["auto_scheduled"] for run in flow_runs())
     artifacts = _get(environment, "/artifacts/filter", {"sort": "CREATED_DESC"})
-    tables = [json.loads(one["data"]) for one in artifacts if one["key"] == "pasdedeux-duets"]
+    tables = [json.loads(artifact["data"]) for artifact in artifacts if artifact["key"] == "pasdedeux-duets"]
     assert all(row["computed"] == row["shards"] > 0 for row in tables[-1]), "the first builds"
     assert all(row["computed"] == 0 for row in tables[0]), "the next finds it fresh"
     assert all(row["reason"] for table in tables for row in table), "also of what passes"
@@ -122,34 +122,35 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert built["status"] == "finished"
     (first,) = [run for run in flow_runs() if run["name"] == built["run_id"]]
     body = {"flow_runs": {"id": {"any_": [first["id"]]}}}
-    names = [one["name"] for one in _get(environment, "/task_runs/filter", body)]
+    names = [task_run["name"] for task_run in _get(environment, "/task_runs/filter", body)]
     assert names == ["ingest"], "a task is a stage"
-    (shown,) = [json.loads(one["data"]) for one in artifacts if one["key"] == "pasdedeux-stage-ingest"]
+    (shown,) = [json.loads(artifact["data"]) for artifact in artifacts if artifact["key"] == "pasdedeux-stage-ingest"]
     assert sum(row["num_computed"] for row in shown) == sum(row["num_shards"] for row in shown) > 0
     assert len({row["partition"] for row in shown}) == len(shown), "a row is a partition"
-    said_of_versions = [one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"][-2:]
+    versions = [artifact["data"] for artifact in artifacts if artifact["key"] == "pasdedeux-duets-dataset"][-2:]
     heartbeats = _get(environment, "/events/filter", {"filter": {"event": {"name": ["prefect.flow-run.heartbeat"]}}})
     flows = {(_flow(event), _is_watched(event)) for event in heartbeats["events"]}
     assert (dataset.name, True) in flows
     assert all(is_watched is (name == dataset.name) for name, is_watched in flows), "stages have no end of their own"
     (version,) = list_datasets(Store(store))
-    assert said_of_versions == [f"{version.label} stays: nothing has changed since", f"{version.label} is published"]
+    assert versions == [f"{version.label} stays: nothing has changed since", f"{version.label} is published"]
 
 
 def test_builds_of_one_store_wait_for_each_other_and_builds_of_two_stores_do_not(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
-    stores = (("one", "store"), ("other", "store"), ("elsewhere", "another"))
+    stores = {"waltz": "store", "hug": "store", "elsewhere": "another"}
     yearly = ["--cron", "0 0 1 1 *", "--set"]
-    _deploy(environment, *([str(tmp_path / store), *yearly, f"study.name='{name}'"] for name, store in stores))
-    made = {one["name"]: one for one in _get(environment, "/deployments/filter", {})}
-    queues = {one["name"]: one["concurrency_limit"] for one in _get(environment, "/work_queues/filter", {})}
-    used = [made[name]["work_queue_name"] for name in ("one", "other", "elsewhere")]
-    assert used[0] == used[1] != used[2]
-    assert {queues[name] for name in used} == {1}
-    assert {made[name]["global_concurrency_limit"]["limit"] for name in ("one", "other", "elsewhere")} == {1}
-    options = [made[name]["concurrency_options"]["collision_strategy"] for name in ("one", "other", "elsewhere")]
-    assert options == ["CANCEL_NEW"] * 3, "of one study, a build that is due while another runs"
+    _deploy(environment, *([str(tmp_path / store), *yearly, f"study.name='{name}'"] for name, store in stores.items()))
+    by_name = {deployment["name"]: deployment for deployment in _get(environment, "/deployments/filter", {})}
+    deployments = [by_name[name] for name in stores]
+    limits = {queue["name"]: queue["concurrency_limit"] for queue in _get(environment, "/work_queues/filter", {})}
+    queues = [deployment["work_queue_name"] for deployment in deployments]
+    assert queues[0] == queues[1] != queues[2]
+    assert {limits[queue] for queue in queues} == {1}
+    for deployment in deployments:
+        assert deployment["global_concurrency_limit"]["limit"] == 1
+        assert deployment["concurrency_options"]["collision_strategy"] == "CANCEL_NEW", "where a build still runs"
 
 
 _DEPLOY = """
@@ -169,8 +170,8 @@ def _deploy(environment: dict[str, str], *options: list[str]) -> str:
 
 
 def _flow(event: dict[str, Any]) -> str:
-    (found,) = [one for one in event["related"] if one["prefect.resource.role"] == "flow"]
-    return str(found["prefect.resource.name"])
+    (flow,) = [related for related in event["related"] if related["prefect.resource.role"] == "flow"]
+    return str(flow["prefect.resource.name"])
 
 
 def _is_watched(event: dict[str, Any]) -> bool:
@@ -210,6 +211,6 @@ def test_a_schedule_without_a_server_and_one_that_is_none_are_refused_with_what_
         (["--cron", "0 2 * * *", "--every", "60"], "both schedules; give only one"),
         (["--cron", "61 * * * *"], "--cron '61 * * * *' is no schedule; allowed are minute,"),
     ):
-        found = call_in_process(capsys, "deploy", "duets", "--store", tmp_path / "store", *more)
-        assert found.code == 2
-        assert words in found.err
+        answer = call_in_process(capsys, "deploy", "duets", "--store", tmp_path / "store", *more)
+        assert answer.code == 2
+        assert words in answer.err

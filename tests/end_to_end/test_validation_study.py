@@ -76,7 +76,7 @@ def build(film: Path, folder: Path, take: str) -> tuple[Store, TopicFacts, dict[
     store = Store(folder / "store")
     last = read_latest(store, "mine")
     assert last is not None
-    (ref,) = (one for one in last.refs("evaluation") if store.manifest(one).partition == "reconstruction")
+    (ref,) = (ref for ref in last.refs("evaluation") if store.manifest(ref).partition == "reconstruction")
     manifest = store.manifest(ref)
     scores = {}
     if "scores" in manifest.tables:

@@ -62,7 +62,7 @@ def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
 def test_a_slider_moves_through_the_variants_that_were_built(editor: Editor) -> None:
     viewer = editor.viewer
     part_of(viewer, "variants")
-    assert [one.label for one in viewer.scales.sliders if one.visible] == ["person A"]
+    assert [slider.label for slider in viewer.scales.sliders if slider.visible] == ["person A"]
     for value, scale in ((1.25, "1.25"), (0.9, "0.95"), (0.0, "0.75")):
         viewer.scales.move(0, value)
         assert viewer.item.names[1] == f"A-uniform-{scale}"
@@ -82,9 +82,9 @@ def test_the_camera_of_a_reconstruction_sees_it_where_its_people_were_seen(edito
     assert np.nanmedian(np.linalg.norm(away, axis=-1)) < 0.05 * height
     assert "error (cm)" in viewer.curves.chosen.options, "the truth is known"
     assert scene.nearest is not None
-    found = scene.nearest(1)
-    assert len(found) == 3 * scene.people.positions_m.shape[1]
-    assert found[0].title.startswith("A: waltz frame ")
+    nearest = scene.nearest(1)
+    assert len(nearest) == 3 * scene.people.positions_m.shape[1]
+    assert nearest[0].title.startswith("A: waltz frame ")
 
 
 def test_a_clip_of_a_reconstruction_is_marked_rejected_and_forgotten(editor: Editor) -> None:
@@ -171,8 +171,8 @@ def drag_joint(tab: Tab, flat: Flat, joint: int, *, away_px: float) -> None:
     tab.run(f"{PICTURE}.scrollIntoView({{block: 'center'}})")
     x, y, width = tab.run(f"(() => {{ const b = {PICTURE}.getBoundingClientRect(); return [b.x, b.y, b.width]; }})()")
     panel = PicturePanel.of(flat, picture_size([flat]))
-    shown = [[0.0, 0.0], [0.5 * away_px, 3.0], [away_px, 0.0]]
-    tab.mouse(*(np.array([x, y]) + width / 640 * panel.place(flat.points_px[0, joint] + one) for one in shown))
+    steps = [[0.0, 0.0], [0.5 * away_px, 3.0], [away_px, 0.0]]
+    tab.mouse(*(np.array([x, y]) + width / 640 * panel.place(flat.points_px[0, joint] + step) for step in steps))
 
 
 def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
@@ -192,9 +192,9 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
 
     def seen(point: Array) -> Array:
         turn = Rotation.from_quat(np.asarray(client.camera.wxyz)[[1, 2, 3, 0]])
-        own = turn.inv().apply(point - client.camera.position)
+        in_camera = turn.inv().apply(point - client.camera.position)
         focal = size[1] / 2 / np.tan(client.camera.fov / 2)
-        return np.asarray(corner + size / 2 + focal * own[:2] / own[2])
+        return np.asarray(corner + size / 2 + focal * in_camera[:2] / in_camera[2])
 
     def pull() -> None:
         tab.mouse(*(seen(hand + np.array([across, 0.0, 0.0])) for across in (0.2, 0.25, 0.3)))

@@ -100,8 +100,8 @@ def test_a_take_that_is_to_be_held_out_is_waited_for_where_its_folder_is_watched
     with pytest.raises(InputError, match=r"'06_02' is not a take of this study; did you mean '60_01'\?"):
         planned(pairs={"all": family}, held_out=["06_02"])
     before = planned(pairs={"all": family}, held_out=held_out)
-    (said,) = [shard.parameters for shard in before if shard.name == "skipped"]
-    assert "'60_02': 'the study names it, and it has not come yet'" in str(said)
+    (skipped,) = [shard.parameters for shard in before if shard.name == "skipped"]
+    assert "'60_02': 'the study names it, and it has not come yet'" in str(skipped)
     for file in (first, second):
         shutil.copy(file, file.with_name(file.name.replace("_01", "_02")))
     after = planned(pairs={"all": family}, held_out=held_out)
@@ -127,22 +127,16 @@ def test_files_and_folders_are_watched_alike_and_no_two_are_taken_for_one(tmp_pa
         planned(annotations=[{**options, "is_watched": False}])
 
 
-def test_a_take_that_stands_twice_in_a_pattern_is_found_and_other_braces_are_refused(tmp_path: Path) -> None:
+def test_a_take_that_stands_twice_in_a_pattern_is_found(tmp_path: Path) -> None:
     first, second = write_figure_pair(tmp_path)
     (tmp_path / "waltz").mkdir()
     shutil.move(first, tmp_path / "waltz" / "waltz_A.bvh")
     shutil.move(second, tmp_path / "waltz" / "other_A.bvh")
     family = {"folder": tmp_path, "subjects": ["A"], "pattern": "{take}/{take}_{subject}.bvh", "id": "{take}"}
     assert {shard.partition for shard in planned(pairs={"all": family})} == {"waltz"}
-    with pytest.raises(ValueError, match=r"only \{subject\} and \{take\} may stand in braces"):
-        planned(pairs={"all": {**family, "pattern": "{day}_{take}.bvh"}})
 
 
-def test_a_folder_in_which_nothing_fits_and_a_take_that_is_not_there_are_refused(tmp_path: Path) -> None:
-    write_figure_pair(tmp_path)
-    family = {"folder": tmp_path, "subjects": ["60", "61"]}
-    assert [shard.partition for shard in planned(pairs={"all": family})][:1] == ["60_01"]
+def test_a_folder_in_which_nothing_fits_is_refused(tmp_path: Path) -> None:
+    family = {"folder": tmp_path / "inbox", "subjects": ["60", "61"], "pattern": "{take}.bvh"}
     with pytest.raises(InputError, match=r"ingest.pairs.all: no file \{take\}.bvh is in "):
-        planned(pairs={"all": {**family, "folder": tmp_path / "inbox", "pattern": "{take}.bvh"}})
-    with pytest.raises(InputError, match="'60_02' is not a take of this study; did you mean '60_01'"):
-        planned(pairs={"all": family}, held_out=["60_02"])
+        planned(pairs={"all": family})

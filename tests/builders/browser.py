@@ -61,13 +61,13 @@ class Tab:
         elif event["method"] == "Log.entryAdded" and values["entry"]["level"] == "error":
             self.errors.append(f"{values['entry']['text']} {values['entry'].get('url', '')}")
         elif event["method"] == "Runtime.consoleAPICalled" and values["type"] == "error":
-            self.errors.append(json.dumps([one.get("value") for one in values["args"]])[:400])
+            self.errors.append(json.dumps([value.get("value") for value in values["args"]])[:400])
 
     def run(self, script: str) -> Any:
         """Return what an expression of the page's script comes to."""
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in found, found
-        return found["result"].get("value")
+        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
 
     def press(self, key: str) -> None:
         """Press a key and let it go."""
@@ -78,9 +78,9 @@ class Tab:
 
     def click(self, text: str) -> None:
         """Click what has this text, such as a button or the head of a folder."""
-        found = f"[...document.querySelectorAll('*')].reverse().find((one) => one.textContent === {json.dumps(text)})"
-        wait_until(lambda: self.run(f"!!({found})"), f"'{text}' on the page", limit_s=240.0)
-        self.run(f"{found}.click()")
+        element = f"[...document.querySelectorAll('*')].reverse().find((one) => one.textContent === {json.dumps(text)})"
+        wait_until(lambda: self.run(f"!!({element})"), f"'{text}' on the page", limit_s=240.0)
+        self.run(f"{element}.click()")
 
     def mouse(self, *points: tuple[float, float]) -> None:
         """Press the left button at the first point, go along the others and let go."""
@@ -104,7 +104,7 @@ class Tab:
 @contextmanager
 def open_page(url: str, folder: Path, *, width: int = 1280, height: int = 800) -> Iterator[Tab]:
     """Open a page in headless Chromium, whose pictures are drawn by software; skips where there is none."""
-    browser = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
+    browser = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
     if browser is None:
         pytest.skip(f"no browser is here: `apt-get install chromium` puts one on the path ({', '.join(_BROWSERS)})")
     profile = folder / f"profile-{width}"
@@ -119,7 +119,7 @@ def open_page(url: str, folder: Path, *, width: int = 1280, height: int = 800) -
         wait_until(lambda: port_file.is_file() and port_file.read_text().count("\n"), "the browser", limit_s=240.0)
         port = port_file.read_text().split()[0]
         with urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
-            page = next(one for one in json.load(answer) if one["type"] == "page")
+            page = next(target for target in json.load(answer) if target["type"] == "page")
         tab = Tab(page["webSocketDebuggerUrl"])
         try:
             tab.call(

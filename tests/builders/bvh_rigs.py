@@ -129,10 +129,10 @@ def world_of_file(text: str) -> dict[str, np.ndarray]:
                     local[:, "XYZ".index(channel[0])] = rows[:, column]
                 else:
                     steps = [Rotation.from_euler(channel[0], angle, degrees=True) for angle in rows[:, column]]
-                    turn = [one * step for one, step in zip(turn, steps, strict=True)]
+                    turn = [before * step for before, step in zip(turn, steps, strict=True)]
                 column += 1
             world[name] = place_of(stack[-1], local)
-            turned = [one * other for one, other in zip(stack[-1][1], turn, strict=True)]
+            turned = [above * below for above, below in zip(stack[-1][1], turn, strict=True)]
             stack.append((world[name], turned))
         elif token == "}":
             stack.pop()

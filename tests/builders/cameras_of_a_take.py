@@ -112,8 +112,8 @@ def errors_m(
         true_roots.append(mid_hip(true))
     scale, apart, true_apart = 1.0, roots[1] - roots[0], true_roots[1] - true_roots[0]
     if has_best_scale:
-        found, known = (np.concatenate([np.ravel(a), np.ravel(b)]) for a, b in ((poses, apart), (trues, true_apart)))
-        scale = float(found @ known / (found @ found))
+        placed, known = (np.concatenate([np.ravel(a), np.ravel(b)]) for a, b in ((poses, apart), (trues, true_apart)))
+        scale = float(placed @ known / (placed @ placed))
     off = [root_centred_error_m(scale * pose, true).mean() for pose, true in zip(poses, trues, strict=True)]
     return float(np.mean(off)), float(np.linalg.norm(scale * apart - true_apart, axis=-1).mean())
 

@@ -98,11 +98,11 @@ def _penetration(duet: Duet, positions) -> tuple[float, float]:
 
 
 def _depth(first, second, radii_a, radii_b, pairs, model) -> float:
-    one, other = pairs[:, 0], pairs[:, 1]
-    ends = (first[:, model.parents[one]], first[:, one], second[:, model.parents[other]], second[:, other])
+    child_a, child_b = pairs[:, 0], pairs[:, 1]
+    ends = (first[:, model.parents[child_a]], first[:, child_a], second[:, model.parents[child_b]], second[:, child_b])
     # Only bones whose middles are near enough can touch: the others need no exact distance.
     halves = 0.5 * sum(np.linalg.norm(ends[at + 1] - ends[at], axis=-1) for at in (0, 2))
     apart = np.linalg.norm(0.5 * (ends[0] + ends[1] - ends[2] - ends[3]), axis=-1)
-    reach = np.broadcast_to(radii_a[one] + radii_b[other], apart.shape)
+    reach = np.broadcast_to(radii_a[child_a] + radii_b[child_b], apart.shape)
     near = apart - halves < reach
     return float((reach[near] - distances(*(end[near] for end in ends))).max(initial=0.0)) if near.any() else 0.0

@@ -49,8 +49,8 @@ def put_take(store: Store, number: int, drawn: Drawn) -> Manifest:
     columns["body22_world_unitquat"] = np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 22, 1))
     people = {**random_columns("takes", count), "take_id": [name] * count, "person": range(count)}
     people["body22_rest_m"] = people_m[:, 0] - people_m[:, 0, :1]
-    told = {"duet": {"name": drawn.interaction}} if drawn.interaction else {}
-    return put(store, "ingest", name, {"poses": columns, "takes": people}, facts, **told)
+    parameters = {"duet": {"name": drawn.interaction}} if drawn.interaction else {}
+    return put(store, "ingest", name, {"poses": columns, "takes": people}, facts, **parameters)
 
 
 def put_variants(store: Store, take: Manifest, number: int, drawn: Drawn) -> Manifest:
@@ -91,6 +91,9 @@ def drawn_store(folder: str, takes: list[Drawn]) -> tuple[Store, list[Manifest]]
     variants = [put_variants(store, take, *drawn) for take, drawn in zip(made, enumerate(takes), strict=True)]
     stages = {"ingest": made, "augmentation": variants}
     record_latest(
-        store, "drawn", "run-1", {name: [ShardRecord.of(one, store) for one in stages[name]] for name in stages}
+        store,
+        "drawn",
+        "run-1",
+        {name: [ShardRecord.of(manifest, store) for manifest in stages[name]] for name in stages},
     )
     return store, made

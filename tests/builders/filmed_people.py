@@ -123,19 +123,19 @@ def inject(
         first = start + int(rng.integers(0, every - longest - 5))
         frames = slice(first, first + int(rng.integers(1, longest + 1)))
         person = int(rng.integers(people))
-        own, other = points[person, frames], points[1 - person, frames].copy()
+        theirs, partners = points[person, frames], points[1 - person, frames].copy()
         limb = _LIMBS[int(rng.integers(4))]
         if kind in {"body", "arms", "legs"}:
             joints = {"body": np.concatenate([_ARMS, _LEGS]), "arms": _ARMS, "legs": _LEGS}[kind]
-            own[:, joints] = own[:, _MIRROR[joints]]
+            theirs[:, joints] = theirs[:, _MIRROR[joints]]
         elif kind == "exchanged":
-            points[1 - person, frames][:, limb] = own[:, limb]
-            own[:, limb] = other[:, limb]
+            points[1 - person, frames][:, limb] = theirs[:, limb]
+            theirs[:, limb] = partners[:, limb]
         elif kind == "stolen":
-            own[:, limb] = other[:, limb]
+            theirs[:, limb] = partners[:, limb]
         else:
             joints = np.flatnonzero(rng.random(14) < 0.5)
-            own[:, joints] = other[:, joints]
+            theirs[:, joints] = partners[:, joints]
     moved = np.linalg.norm(points - keypoints_px, axis=-1)
     return Faulty(points, confidence, moved > _VISIBLE * np.nanmedian(body_size_px(keypoints_px, confidence)))
 
@@ -160,7 +160,7 @@ class JointCounts:
 
     def __add__(self, other: JointCounts) -> JointCounts:
         """Add up."""
-        return JointCounts(*(one + two for one, two in zip(astuple(self), astuple(other), strict=True)))
+        return JointCounts(*(mine + others for mine, others in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def shares(self) -> dict[str, float]:
@@ -180,15 +180,15 @@ def _share(count: int, among: int) -> float:
     return count / among if among else float("nan")
 
 
-def count_joints(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> JointCounts:
+def count_joints(faulty: Faulty, true_px: Array, repaired: RepairedCrowd) -> JointCounts:
     """Count what a repair of injected faults did, against the true keypoints (person, frame, 14, 2)."""
-    is_changed = found.is_touched.copy()
-    # Joints that a repair moved by less than can be seen are neither found nor falsely accused.
-    moved = np.linalg.norm(found.keypoints_px - faulty.keypoints_px, axis=-1)
+    is_changed = repaired.is_touched.copy()
+    # Joints that a repair moved by less than can be seen are neither repaired nor falsely accused.
+    moved = np.linalg.norm(repaired.keypoints_px - faulty.keypoints_px, axis=-1)
     size = np.nanmedian(body_size_px(true_px, np.ones(true_px.shape[:-1])))
-    is_changed &= found.is_masked | (moved > _VISIBLE * size)
-    off = np.linalg.norm(found.keypoints_px - true_px, axis=-1)
+    is_changed &= repaired.is_masked | (moved > _VISIBLE * size)
+    off = np.linalg.norm(repaired.keypoints_px - true_px, axis=-1)
     is_right = off < 0.5 * _VISIBLE * size
     wrong = faulty.is_wrong
-    counts = [wrong, wrong & is_changed, is_changed, wrong & is_right, wrong & ~is_right & ~found.is_masked]
-    return JointCounts(*(int(np.count_nonzero(one)) for one in counts))
+    counts = [wrong, wrong & is_changed, is_changed, wrong & is_right, wrong & ~is_right & ~repaired.is_masked]
+    return JointCounts(*(int(np.count_nonzero(joints)) for joints in counts))

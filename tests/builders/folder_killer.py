@@ -26,7 +26,7 @@ EVERY = 7
 
 def digests(folder: Path) -> dict[str, str]:
     """Return all that lies in a folder."""
-    return {str(one.relative_to(folder)): file_sha256(one) for one in folder.rglob("*") if one.is_file()}
+    return {str(path.relative_to(folder)): file_sha256(path) for path in folder.rglob("*") if path.is_file()}
 
 
 def run(kind: str, folder: Path) -> dict[str, object]:
@@ -34,16 +34,16 @@ def run(kind: str, folder: Path) -> dict[str, object]:
     store = Store(folder / "store")
     put_dataset(store, {"hug": False}, num_frames=3, variants=VARIANTS[:1])
     put_dataset(store, {"hug": False, "judo": False}, num_frames=3, variants=VARIANTS[:1])
-    one, two = open_dataset(store, "made@1"), open_dataset(store, "made@2")
+    first, second = open_dataset(store, "made@1"), open_dataset(store, "made@2")
 
     def prepare(root: Path) -> Path:
         root.mkdir()
         if kind == "update":
-            write_folder(store, one, root / "out")
+            write_folder(store, first, root / "out")
         return root
 
     def act(root: Path) -> None:
-        write_folder(store, two, root / "out", since="made@1" if kind == "update" else "")
+        write_folder(store, second, root / "out", since="made@1" if kind == "update" else "")
 
     quiet = prepare(folder / "undisturbed")
     act(quiet)

@@ -54,6 +54,6 @@ def duet_store(root: Path) -> tuple[Store, list[Manifest]]:
     """Return a store with a waltz of a second at 12 Hz, on record as the study `short`, and the take."""
     store = Store(root)
     shards = planned(rate_hz=12.0, duets=[{"name": "waltz", "duration_s": 1.0}])
-    takes = list(run(store, [one for one in shards if one.name == "take"]).values())
-    record_latest(store, "short", "20260101T000000-short", {"ingest": [ShardRecord.of(one, store) for one in takes]})
+    takes = list(run(store, [shard for shard in shards if shard.name == "take"]).values())
+    record_latest(store, "short", "20260101T000000-short", {"ingest": [ShardRecord.of(take, store) for take in takes]})
     return store, takes

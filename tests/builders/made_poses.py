@@ -26,15 +26,15 @@ def pair_bvh(pair_m: np.ndarray) -> tuple[str, str]:
 
 def put_made_poses(store: Store) -> None:
     """Commit two variants (one fails), draws, lifted pairs, in-betweens and motions of the store's take and video."""
-    take = next(one for one in store.artifacts("ingest") if "poses" in one.tables)
-    video = next(one for one in store.artifacts("ingest") if one.name == "video")
-    told = BatchParameters(contacts=(), variants=("bad", "same")).model_dump(mode="json", exclude={"limits"})
+    take = next(manifest for manifest in store.artifacts("ingest") if "poses" in manifest.tables)
+    video = next(manifest for manifest in store.artifacts("ingest") if manifest.name == "video")
+    parameters = BatchParameters(contacts=(), variants=("bad", "same")).model_dump(mode="json", exclude={"limits"})
     facts = {
         "takes": ["waltz"],
         "take_id": "waltz",
         "num_persons": 2,
         "num_frames": store.manifest(take.ref).tables["poses"].rows // 2,
-        "told": told,
+        "told": parameters,
     }
     put(store, "augmentation", "variants", _variants(store, take), facts, (take,))
     chain = random_columns("draws", NUM_LIFTED) | {"density": ["ic"] * 3, "seed_index": [0] * 3, "chain": [0] * 3}

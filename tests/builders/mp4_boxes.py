@@ -24,7 +24,7 @@ def with_durations(data: bytes, durations: Sequence[float]) -> bytes:
     (scale,) = struct.unpack(">I", data[at + 16 : at + 20])
     start = data.index(b"stts") - 4
     (length,) = struct.unpack(">I", data[start : start + 4])
-    entries = b"".join(struct.pack(">II", 1, round(one * scale)) for one in durations)
+    entries = b"".join(struct.pack(">II", 1, round(duration * scale)) for duration in durations)
     box = struct.pack(">I4sII", 16 + len(entries), b"stts", 0, len(durations)) + entries
     grown = bytearray(data[:start] + box + data[start + length :])
     for name in _PARENTS:

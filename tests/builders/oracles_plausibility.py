@@ -19,10 +19,10 @@ _INDEX = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES
 
 
 def _subtree(joint: str) -> list[int]:
-    found = [_JOINT[joint]]
-    for index in found:
-        found.extend(PAIR17.children(index))
-    return found
+    joints = [_JOINT[joint]]
+    for index in joints:
+        joints.extend(PAIR17.children(index))
+    return joints
 
 
 _ARMS = {side: _subtree(f"{side}_shoulder") for side in ("left", "right")}

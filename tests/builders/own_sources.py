@@ -161,12 +161,12 @@ class FilmedDuet:
     def keypoints_px(self, layout: str) -> Array:
         """Return the keypoints (frame, person, K, 2) of a layout; NaN for those that the bodies have not got: eyes."""
         names = KEYPOINT_LAYOUTS[layout].keypoint_names
-        found = np.full((*self.op14_m.shape[:2], len(names), 2), np.nan)
+        keypoints = np.full((*self.op14_m.shape[:2], len(names), 2), np.nan)
         for column, name in enumerate(names):
             point = self._point(name)
             if point is not None:
-                found[:, :, column] = self.camera.project(point).px
-        return found
+                keypoints[:, :, column] = self.camera.project(point).px
+        return keypoints
 
     def _point(self, name: str) -> Array | None:
         op14 = {"nose": "head"}.get(name, name)

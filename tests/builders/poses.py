@@ -62,10 +62,10 @@ def wild(seed: int, count: int) -> np.ndarray:
 
 
 def random_pairs(seed: int, count: int) -> np.ndarray:
-    one, two = wild(seed, count), wild(seed + 1, count)
-    one -= one[:, :1]
-    two -= two[:, :1]
-    return np.stack([one, two + np.random.default_rng(seed).normal(scale=0.2, size=(count, 1, 3))], axis=1)
+    first, second = wild(seed, count), wild(seed + 1, count)
+    first -= first[:, :1]
+    second -= second[:, :1]
+    return np.stack([first, second + np.random.default_rng(seed).normal(scale=0.2, size=(count, 1, 3))], axis=1)
 
 
 def dancers(seed: int, count: int) -> np.ndarray:

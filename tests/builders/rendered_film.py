@@ -54,11 +54,11 @@ def salsa_bodies(data_dir: Path, take: str, frames: slice = slice(None), *, rate
 
 def _bodies(motions: Iterable[Motion], layout: str, frames: slice) -> Bodies:
     poses = [derive_working_poses(motion, LAYOUTS[layout]) for motion in motions]
-    count = min(len(one.pair17_m) for one in poses)
+    count = min(len(pose.pair17_m) for pose in poses)
     return Bodies(
-        np.stack([one.body22_m[:count] for one in poses], axis=1)[frames],
-        np.stack([one.body22_world_unitquat[:count] for one in poses], axis=1)[frames],
-        np.stack([one.pair17_m[:count] for one in poses], axis=1)[frames],
+        np.stack([pose.body22_m[:count] for pose in poses], axis=1)[frames],
+        np.stack([pose.body22_world_unitquat[:count] for pose in poses], axis=1)[frames],
+        np.stack([pose.pair17_m[:count] for pose in poses], axis=1)[frames],
     )
 
 
@@ -147,7 +147,7 @@ def render(
         seen = camera.project(bodies.pair17_m[frame])
         x, y = (np.clip(seen.px[..., i].round().astype(int), 0, size[i] - 1) for i in (0, 1))
         visible.append(camera.is_inside(seen.px) & (depth[y, x] > seen.depth_m - 0.16))
-    px = np.stack([camera.project(one).px for camera, one in zip(cameras, bodies.pair17_m, strict=True)])
+    px = np.stack([camera.project(pair).px for camera, pair in zip(cameras, bodies.pair17_m, strict=True)])
     return Film(images, px, np.stack(visible), cameras)
 
 
@@ -171,9 +171,9 @@ def _image_from_wall(camera: PinholeCamera, steady: PinholeCamera, shift: Array)
     """Return the homography from the wall, which is far away, to the image of a camera that has turned."""
     flip = np.diag([1.0, -1.0, -1.0])  # camera axes to x right, y down, z away
     lenses = []
-    for one in (camera, steady):
-        cx, cy = one.principal_point_px
-        lenses.append(np.array([[one.focal_px, 0.0, cx], [0.0, one.focal_px, cy], [0.0, 0.0, 1.0]]))
+    for lens in (camera, steady):
+        cx, cy = lens.principal_point_px
+        lenses.append(np.array([[lens.focal_px, 0.0, cx], [0.0, lens.focal_px, cy], [0.0, 0.0, 1.0]]))
     turn = flip @ camera.camera_from_world_rotmat @ steady.camera_from_world_rotmat.T @ flip
     at = np.array([[1.0, 0.0, -shift[0]], [0.0, 1.0, -shift[1]], [0.0, 0.0, 1.0]])
     return np.asarray(lenses[0] @ turn @ np.linalg.inv(lenses[1]) @ at)
@@ -318,7 +318,7 @@ def rows_of(film: Film, frames: list[int], *, hidden: float = 0.5) -> AnnotatedF
         ("film",) * len(at),
         np.array([frame for frame, _ in at]),
         np.array([person for _, person in at]),
-        np.stack([film.px[one] for one in at]),
-        np.stack([np.where(film.is_visible[one], 1.0, hidden) for one in at]),
+        np.stack([film.px[place] for place in at]),
+        np.stack([np.where(film.is_visible[place], 1.0, hidden) for place in at]),
         rate_hz=30.0,
     )

@@ -106,20 +106,20 @@ def _cut(body: bytes, connection: socket.socket) -> Iterator[bytes]:
 @contextmanager
 def s3_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
     """Start a server; address and credentials are in the environment as a user would say them."""
-    found = S3Server(0)
-    app = _with_faults(DomainDispatcherApplication(create_backend_app), found)
-    found.start = lambda: _serving(found, app)
-    found.stop = found.start()
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{found.port}")
+    server = S3Server(0)
+    app = _with_faults(DomainDispatcherApplication(create_backend_app), server)
+    server.start = lambda: _serving(server, app)
+    server.stop = server.start()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.port}")
     monkeypatch.setenv("AWS_REGION", "us-east-1")
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "tester")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
     try:
         import boto3
 
-        client = boto3.client("s3", endpoint_url=f"http://127.0.0.1:{found.port}")
+        client = boto3.client("s3", endpoint_url=f"http://127.0.0.1:{server.port}")
         client.create_bucket(Bucket=BUCKET)
         client.close()
-        yield found
+        yield server
     finally:
-        found.stop()
+        server.stop()

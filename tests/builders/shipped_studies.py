@@ -80,11 +80,9 @@ def cut_short(study: Study) -> list[str]:
         if (len(value) > len(wanted) if isinstance(wanted, list) else value is not None and value > wanted)
     ]
     families = sections["ingest"]["pairs"]
-    taken = [f"ingest.pairs.{name}.takes={json.dumps(_few_takes(study, one))}" for name, one in families.items()]
-    short = ["ingest.take_seconds=1.0", *duets]
-    return (
-        short + few + taken + [f"ingest.pairs.{name}.frames=[1, 60]" for name, one in families.items() if one["frames"]]
-    )
+    taken = [f"ingest.pairs.{name}.takes={json.dumps(_few_takes(study, family))}" for name, family in families.items()]
+    cut = [f"ingest.pairs.{name}.frames=[1, 60]" for name, family in families.items() if family["frames"]]
+    return ["ingest.take_seconds=1.0", *duets, *few, *taken, *cut]
 
 
 def _values(node: Any, path: Sequence[str]) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -107,7 +105,9 @@ def _keep_few_duets(ingest: dict[str, Any]) -> list[str]:
     ingest["duets"] = duets[:_NUM_DUETS]
     gone -= {take.take_id for take in IngestParameters(duets=ingest["duets"]).resolved_duets()}
     ingest["held_out"] = [take for take in ingest["held_out"] if take not in gone]
-    lines = (", ".join(f"{key} = {json.dumps(told)}" for key, told in one.items() if told) for one in ingest["duets"])
+    lines = (
+        ", ".join(f"{key} = {json.dumps(value)}" for key, value in duet.items() if value) for duet in ingest["duets"]
+    )
     return [f"ingest.duets=[{', '.join(f'{{ {line} }}' for line in lines)}]", f"ingest.held_out={ingest['held_out']}"]
 
 

@@ -82,13 +82,13 @@ AMC = (SAMPLES / "small.amc").read_text()
 
 def openpose_text(layout: str = "coco18", *, people: int = 1, seed: int = 0, missing: tuple[int, ...] = ()) -> str:
     """Return one OpenPose frame of plausible people; `missing` keypoints are (0, 0, 0)."""
-    found = []
+    listed = []
     for person in range(people):
         px = person_px(layout, seed=seed) + np.array([300.0 * person, 0.0])
         rows = np.concatenate([px, np.full((len(px), 1), 0.9)], axis=1)
         rows[list(missing)] = 0.0
-        found.append({"person_id": [-1], "pose_keypoints_2d": rows.round(3).reshape(-1).tolist()})
-    return json.dumps({"version": 1.3, "people": found})
+        listed.append({"person_id": [-1], "pose_keypoints_2d": rows.round(3).reshape(-1).tolist()})
+    return json.dumps({"version": 1.3, "people": listed})
 
 
 _PERSON_PX = {
@@ -144,14 +144,14 @@ def people_of(num_frames: int, people: int, layout: str = "coco17") -> Iterator[
 
 def result_texts(num_frames: int = 6, people: int = 2) -> dict[str, str]:
     """Return the same people as detectors write them: by tool, from what their own code writes."""
-    found = list(people_of(num_frames, people))
-    flat = [(frame, person, table.reshape(-1).tolist()) for frame, person, table in found]
+    tables = list(people_of(num_frames, people))
+    flat = [(frame, person, table.reshape(-1).tolist()) for frame, person, table in tables]
     frames = [
         {
             "frame_id": frame,
             "instances": [
                 {"keypoints": table[:, :2].tolist(), "keypoint_scores": table[:, 2].tolist(), "bbox_score": 0.9}
-                for at, _, table in found
+                for at, _, table in tables
                 if at == frame
             ],
         }
@@ -178,12 +178,12 @@ def image_text(tool: str, *, people: int = 2, seed: int = 0) -> str:
     tables = [person_px("coco17", seed=seed) + np.array([300.0 * person, 0.0]) for person in range(people)]
     if tool == "ultralytics":
         box = {"x1": 50.0, "y1": 30.0, "x2": 160.0, "y2": 320.0}
-        found = [
+        listed = [
             {"name": "person", "class": 0, "confidence": 0.9, "box": box, "track_id": 1 + person}
             | {"keypoints": {"x": px[:, 0].tolist(), "y": px[:, 1].tolist(), "visible": [0.9] * len(px)}}
             for person, px in enumerate(tables)
         ]
-        return json.dumps(found, indent=2)
+        return json.dumps(listed, indent=2)
     instances = [{"keypoints": px.tolist(), "keypoint_scores": [0.9] * len(px), "bbox_score": 0.9} for px in tables]
     meta = {"dataset_name": "coco", "num_keypoints": 17, "keypoint_id2name": {"0": "nose"}}
     return json.dumps({"meta_info": meta, "instance_info": instances} if tool == "mmpose demo" else instances)
@@ -196,12 +196,12 @@ def landmark_texts(num_frames: int = 6, people: int = 1, side_px: int = 400) -> 
     for frame, _, table in people_of(num_frames, people, "mediapipe33"):
         frames[frame].append(table / (side_px, side_px, 1.0))
     points = [
-        [[{"x": x, "y": y, "z": -0.1, "visibility": v} for x, y, v in one.tolist()] for one in frame]
+        [[{"x": x, "y": y, "z": -0.1, "visibility": v} for x, y, v in person.tolist()] for person in frame]
         for frame in frames
     ]
     first = [frame[0] for frame in points]
-    named = [dict(zip((name.upper() for name in names), one, strict=True)) for one in first]
-    rows = [one[0].tolist() for one in frames]
+    named = [dict(zip((name.upper() for name in names), person, strict=True)) for person in first]
+    rows = [people[0].tolist() for people in frames]
     by_landmark = [
         f"{frame},{index},{name.upper()},{x},{y},0,{v}"
         for frame, row in enumerate(rows)
@@ -211,11 +211,11 @@ def landmark_texts(num_frames: int = 6, people: int = 1, side_px: int = 400) -> 
     return {
         "frames": json.dumps(
             {"fps": 25, "width": side_px, "height": side_px}
-            | {"frames": [{"frame_index": frame, "landmarks": one} for frame, one in enumerate(first)]}
+            | {"frames": [{"frame_index": frame, "landmarks": person} for frame, person in enumerate(first)]}
         ),
         "people": json.dumps([{"pose_landmarks": frame} for frame in points]),
-        "keypoints": json.dumps([{"frame_id": frame, "keypoints": one} for frame, one in enumerate(first)]),
-        "by name": json.dumps([{"frame": frame, "landmarks": one} for frame, one in enumerate(named)]),
+        "keypoints": json.dumps([{"frame_id": frame, "keypoints": person} for frame, person in enumerate(first)]),
+        "by name": json.dumps([{"frame": frame, "landmarks": person} for frame, person in enumerate(named)]),
         "rows": "\n".join(["frame,landmark_id,landmark_name,x,y,z,visibility", *by_landmark]),
         "columns by name": "\n".join(
             [
@@ -265,25 +265,25 @@ def write_annotation_npz(frames: AnnotatedFrames) -> bytes:
 
 def c3d_points(subjects: str = "A") -> bytes:
     """Return the figure as labelled points of a C3D file, as often as there are letters, a metre beside each other."""
-    one, _ = figure_motion().world()
+    figure, _ = figure_motion().world()
     labels = [f"{subject}:{joint}" for subject in subjects for joint in BODY22.joint_names]
-    people = [one + np.array([1.0 * number, 0.0, 0.0]) for number in range(len(subjects))]
+    people = [figure + np.array([1.0 * number, 0.0, 0.0]) for number in range(len(subjects))]
     return write_c3d(np.concatenate(people, axis=1), labels, rate_hz=30.0, facts={"CREDIT": "made up"})
 
 
 def trc_text(subjects: str = "A") -> str:
     """Return the figure as markers of a TRC file, as often as there are letters, a metre beside each other."""
-    one, _ = figure_motion().world()
-    people = np.stack([one + np.array([1.0 * number, 0.0, 0.0]) for number in range(len(subjects))], axis=1)
+    figure, _ = figure_motion().world()
+    people = np.stack([figure + np.array([1.0 * number, 0.0, 0.0]) for number in range(len(subjects))], axis=1)
     labels = [f"{subject}:{joint}" for subject in subjects for joint in BODY22.joint_names]
-    return write_trc(people.reshape(len(one), -1, 3), labels, rate_hz=30.0, name="made_up.trc")
+    return write_trc(people.reshape(len(figure), -1, 3), labels, rate_hz=30.0, name="made_up.trc")
 
 
 _EXPI_SIDES = ("shoulder", "elbow", "wrist", "hip", "knee", "heel", "toes")
 EXPI_NAMES = [
     f"{who}-{joint}"
     for who in "mf"
-    for joint in ("fhead", "lhead", "rhead", "back", *(side + one for one in _EXPI_SIDES for side in "lr"))
+    for joint in ("fhead", "lhead", "rhead", "back", *(side + part for part in _EXPI_SIDES for side in "lr"))
 ]
 """Joints of a take of ExPI in the order that its authors read them."""
 
@@ -307,9 +307,9 @@ def expi_tsv(people_m: np.ndarray | None = None) -> bytes:
 
 
 _EXPI_OURS = {"fhead": "head", "lhead": "left_head", "rhead": "right_head"} | {
-    f"{side[0]}{one}": f"{side}_{ {'heel': 'ankle', 'toes': 'toe'}.get(one, one) }"
+    f"{side[0]}{part}": f"{side}_{ {'heel': 'ankle', 'toes': 'toe'}.get(part, part) }"
     for side in ("left", "right")
-    for one in _EXPI_SIDES
+    for part in _EXPI_SIDES
 }
 
 ROTATION_ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"

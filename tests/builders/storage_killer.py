@@ -54,7 +54,7 @@ def replace(store: Store) -> str:
 
 def replace_in_two_steps(store: Store) -> str:
     """Do so on a file system that cannot exchange folders."""
-    staging.exchange = lambda one, other: False
+    staging.exchange = lambda folder, target: False
     return replace(store)
 
 
@@ -169,8 +169,8 @@ def run(action: str, folder: Path) -> dict[str, Any]:
         if action == "replace_in_two_steps":
             Store(root).prepare()
         after_death = look(Store(root))
-        found = act(Store(root))
-        after_rerun = look(Store(root)) | {"is_same": found == expected, "tmp": _names(root / "tmp")}
+        said = act(Store(root))
+        after_rerun = look(Store(root)) | {"is_same": said == expected, "tmp": _names(root / "tmp")}
         deaths.append({"death": after_death, "rerun": after_rerun})
         if os.WIFEXITED(status):
             return {"deaths": deaths, "exit": os.WEXITSTATUS(status), "undisturbed": look(quiet)}

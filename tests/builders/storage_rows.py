@@ -102,21 +102,21 @@ def edit_json(path: Path, *names: str, **changes: Any) -> None:
     path.write_text(json.dumps(values))
 
 
-def assert_same_values(found: Any, given: Any) -> None:
+def assert_same_values(values: Any, given: Any) -> None:
     """Assert that a column read back holds what was given; None and NaN are equal in nullable number columns."""
-    if isinstance(found, np.ndarray) and found.dtype != object:
+    if isinstance(values, np.ndarray) and values.dtype != object:
         if isinstance(given, list):
             given = np.array([np.nan if value is None else value for value in given])
-        np.testing.assert_array_equal(found, np.asarray(given).astype(found.dtype).reshape(found.shape))
-    elif isinstance(found, np.ndarray):
-        assert found.tolist() == list(given)
+        np.testing.assert_array_equal(values, np.asarray(given).astype(values.dtype).reshape(values.shape))
+    elif isinstance(values, np.ndarray):
+        assert values.tolist() == list(given)
     else:
-        assert len(found) == len(given)
-        for one, other in zip(found, given, strict=True):
-            if isinstance(one, np.ndarray):
-                np.testing.assert_array_equal(one, other)
+        assert len(values) == len(given)
+        for value, expected in zip(values, given, strict=True):
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(value, expected)
             else:
-                assert one == other
+                assert value == expected
 
 
 def put(

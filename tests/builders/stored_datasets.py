@@ -67,8 +67,8 @@ def put_clips(
     people = swaying_pair(num_frames, apart_m=2.0 if take_id == "alone" else 0.3, seed=seed).astype(np.float32)
     by_person = people.swapaxes(0, 1).reshape(-1, *people.shape[2:])
     columns, facts = take_rows(take_id, 2, num_frames, is_held_out=is_held_out, body22_m=by_person)
-    own = random_columns("takes", 2) | {"take_id": [take_id] * 2, "person": [0, 1], "body22_rest_m": people[0]}
-    take = put(store, "ingest", take_id, {"takes": own, "poses": columns}, facts, source=source)
+    people_rows = random_columns("takes", 2) | {"take_id": [take_id] * 2, "person": [0, 1], "body22_rest_m": people[0]}
+    take = put(store, "ingest", take_id, {"takes": people_rows, "poses": columns}, facts, source=source)
     count, size = len(variants), 2 * num_frames
     frame = np.repeat(np.arange(num_frames), 2)
     rows: dict[str, Any] = {
@@ -91,8 +91,8 @@ def put_clips(
         "variant_id": [name for name in variants for _ in range(num_frames)],
         "frame": np.tile(np.arange(num_frames), count),
     }
-    told = BatchParameters(contacts=(), variants=tuple(variants)).model_dump(mode="json", exclude={"limits"})
-    facts = {"kind": "variants", "takes": [take_id], "take_id": take_id, "variants": list(variants), "told": told}
+    parameters = BatchParameters(contacts=(), variants=tuple(variants)).model_dump(mode="json", exclude={"limits"})
+    facts = {"kind": "variants", "takes": [take_id], "take_id": take_id, "variants": list(variants), "told": parameters}
     facts |= {"num_persons": 2, "num_frames": num_frames, "rate_hz": 30.0, "is_held_out": is_held_out}
     tables = {"variants": rows, "variant_quality": quality, "variant_frames": frames}
     return [take, put(store, "augmentation", take_id, tables, facts, (take,), source=MADE_UP)]

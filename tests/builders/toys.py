@@ -90,8 +90,8 @@ def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
     for take in range(parameters.num_takes):
         before: tuple[str, ...] = ()
         for segment in range(parameters.num_segments):
-            told = parameters.part(SegmentParameters, take=take, segment=segment)
-            shard = GROW.shard(inputs, f"t{take}", f"s{segment}", told, files=files, after=before)
+            options = parameters.part(SegmentParameters, take=take, segment=segment)
+            shard = GROW.shard(inputs, f"t{take}", f"s{segment}", options, files=files, after=before)
             before = (shard.key,)
             shards.append(shard)
     return shards

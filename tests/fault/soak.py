@@ -72,20 +72,20 @@ def soak(folder: Path, seconds: float, every_s: float) -> tuple[Counter[str], li
                 time.sleep(0.1)
                 is_due = last_kill + every_s < time.monotonic() < started + seconds
                 if is_due and num_artifacts(store) > len(made):
-                    victim = next((one for one in victims if kill(run, one, outside)), None)
+                    victim = next((victim for victim in victims if kill(run, victim, outside)), None)
                     if victim is not None:
                         last_kill = time.monotonic()
                         counts[f"killed: {victim}"] += 1
-                        victims.sort(key=lambda one: counts[f"killed: {one}"])
+                        victims.sort(key=lambda victim: counts[f"killed: {victim}"])
                         sys.stderr.write(f"{last_kill - started:.0f} s: {victim}, {num_artifacts(store)} made\n")
             answer = run.finish()
-        code, found = answer.code, committed(store) if store.exists() else {}
+        code, artifacts = answer.code, committed(store) if store.exists() else {}
         counts[f"runs that ended with code {code}"] += 1
-        if not made.items() <= found.items():
+        if not made.items() <= artifacts.items():
             problems.append("an artifact was computed again")
-        counts["shards committed"] += len(found) - len(made)
-        made = found
-        problems += [str(one) for one in (verify(Store(store)).problems if made else ())]
+        counts["shards committed"] += len(artifacts) - len(made)
+        made = artifacts
+        problems += [str(problem) for problem in (verify(Store(store)).problems if made else ())]
         if code == 0:
             if digests(store, "toy") != wanted:
                 problems.append("a finished build has other artifacts than an undisturbed one")
@@ -107,7 +107,7 @@ def num_artifacts(store: Path) -> int:
 def start(study: Path, store: Path, folder: Path, outside: Outside | None) -> RealRun:
     """Start the command that builds the study."""
     where = ("--workers", "2", "--oversubscribe") if outside is None else ("--scheduler", outside.address)
-    settings = itertools.chain.from_iterable(("--set", one) for one in SIZE)
+    settings = itertools.chain.from_iterable(("--set", setting) for setting in SIZE)
     return RealRun(
         *("run", study, "--store", store, *settings, *where),
         prefect_home=folder / "prefect",
@@ -126,12 +126,12 @@ def kill(run: RealRun, victim: str, outside: Outside | None) -> bool:
         if victim == "flow":
             wait_until_gone(run.kill())
             return True
-        found = run.workers()
+        processes = run.workers()
         if victim == "Prefect's server":
-            found = [process for process in run.descendants() if "flows.prefect_server" in command_of(process)]
-        for process in found if victim == "all workers" else found[:1]:
+            processes = [process for process in run.descendants() if "flows.prefect_server" in command_of(process)]
+        for process in processes if victim == "all workers" else processes[:1]:
             process.kill()
-        return bool(found)
+        return bool(processes)
     return False
 
 

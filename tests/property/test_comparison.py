@@ -12,35 +12,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from storage_schema import TABLES, ArtifactRef, Store
+from storage_schema import TABLES, Store
 from storage_schema.arrow import ColumnKind, column_kind, value_type
 from storage_schema.comparison import RELATIVE_TOLERANCE, TOLERANCES, Difference, compare_artifacts
-from tests.builders.storage_rows import random_columns
+from tests.builders.storage_rows import commit_rows, put, random_columns
 
 NUM_ROWS = 7
 
 
-def commit(store: Store, table: str, columns: dict[str, Any], **more: Any) -> ArtifactRef:
-    return store.commit(
-        stage="made",
-        key="0" * 64,
-        partition="p",
-        name="n",
-        version=1,
-        parameters={},
-        seed=0,
-        inputs=(),
-        files=(),
-        tables={table: columns},
-        **more,
-    )
-
-
-def compared(table: str, first: dict[str, Any], second: dict[str, Any], **more: Any) -> list[Difference]:
+def compared(table: str, first: dict[str, Any], second: dict[str, Any]) -> list[Difference]:
     with tempfile.TemporaryDirectory() as folder:
         stores = [Store(Path(folder) / name) for name in "ab"]
-        manifests = [s.manifest(commit(s, table, c, **more)) for s, c in zip(stores, (first, second), strict=True)]
-        return compare_artifacts(stores[0], manifests[0], stores[1], manifests[1])
+        made = [put(store, "made", "n", {table: rows}, {}) for store, rows in zip(stores, (first, second), strict=True)]
+        return compare_artifacts(stores[0], made[0], stores[1], made[1])
 
 
 def test_every_unit_of_a_number_has_a_tolerance() -> None:
@@ -133,20 +117,18 @@ def test_arrays_without_a_value_do_not_differ() -> None:
     assert (found.column, found.row) == ("array_name", 1)
 
 
-def test_other_numbers_of_rows_and_other_attachments_are_said() -> None:
+def test_other_numbers_of_rows_and_other_attachments_are_said(tmp_path: Path) -> None:
     (found,) = compared("scores", random_columns("scores", 2), random_columns("scores", 3))
     assert (str(found), found.is_beyond, found.is_attachment) == ("scores: 2 rows, 3 there", True, False)
-    with tempfile.TemporaryDirectory() as folder:
-        stores = [Store(Path(folder) / name) for name in "abc"]
-        files = [{"page.html": b"a"}, {"page.html": b"b"}, {}]
-        rows = random_columns("scores", 2)
-        made = [s.manifest(commit(s, "scores", rows, attachments=files[i])) for i, s in enumerate(stores)]
-        (found,) = compare_artifacts(stores[0], made[0], stores[1], made[1])
-        assert (str(found), found.is_beyond, found.is_attachment) == ("page.html: other bytes", True, True)
-        for first, second in ((0, 2), (2, 0)):
-            (found,) = compare_artifacts(stores[first], made[first], stores[second], made[second])
-            assert str(found) == "page.html: is only in one"
-            assert (found.is_beyond, found.is_missing) == (True, True)
+    artifacts = []
+    for name, files in {"a": {"page.html": b"a"}, "b": {"page.html": b"b"}, "none": {}}.items():
+        store = Store(tmp_path / name)
+        artifacts.append((store, store.manifest(commit_rows(store, num_rows=2, attachments=files))))
+    (found,) = compare_artifacts(*artifacts[0], *artifacts[1])
+    assert (str(found), found.is_beyond, found.is_attachment) == ("page.html: other bytes", True, True)
+    for first, second in ((0, 2), (2, 0)):
+        (found,) = compare_artifacts(*artifacts[first], *artifacts[second])
+        assert (str(found), found.is_beyond, found.is_missing) == ("page.html: is only in one", True, True)
 
 
 def test_whole_numbers_far_apart_are_beyond_without_a_warning() -> None:

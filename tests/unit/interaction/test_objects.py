@@ -44,11 +44,8 @@ def carried_bar(count: int = 1) -> Source:
     wrists = people[:, 0, WRISTS]
     source = Source(people, 30.0)
     out_m = 0.02 + 0.015 + source.radii_m[0, WRISTS[0]]
-    return Source(
-        people,
-        30.0,
-        objects=MovingObjects(("bar",), (wrists + np.array([0.0, 0.0, out_m]))[:, None], np.array([0.015])),
-    )
+    ends_m = (wrists + np.array([0.0, 0.0, out_m]))[:, None]
+    return replace(source, objects=MovingObjects(("bar",), ends_m, np.array([0.015])))
 
 
 def table_of(objects: MovingObjects) -> str:

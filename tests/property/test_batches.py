@@ -1,4 +1,4 @@
-"""What an item gets does not depend on what stands beside it, whichever kernels OpenBLAS takes on this processor."""
+"""Test that the result of an item does not depend on its batch, with any kernels that OpenBLAS may choose."""
 
 from __future__ import annotations
 

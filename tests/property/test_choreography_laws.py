@@ -1,4 +1,4 @@
-"""The laws of the duets hold for all sizes, takes and speeds, not only for those that ship."""
+"""Test the laws of duets for all sizes, takes and speeds."""
 
 from __future__ import annotations
 

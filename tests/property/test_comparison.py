@@ -1,4 +1,4 @@
-"""Comparing two artifacts: the one value that differs is named, and counts as rounding within its tolerance alone."""
+"""Compare two artifacts: a changed value is named, and is rounding only within its tolerance."""
 
 from __future__ import annotations
 

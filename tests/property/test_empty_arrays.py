@@ -1,4 +1,4 @@
-"""Nothing in, nothing out: of no pairs, frames or images there are no figures, and no warning and no error either."""
+"""Test that empty arrays of pairs, frames or images give empty results, without a warning or an error."""
 
 from __future__ import annotations
 

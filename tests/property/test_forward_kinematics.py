@@ -1,4 +1,4 @@
-"""Forward kinematics against its definition, joint after joint."""
+"""Compare forward kinematics with its definition, joint by joint."""
 
 from __future__ import annotations
 

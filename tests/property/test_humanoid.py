@@ -1,4 +1,4 @@
-"""Laws of the whole body: through the joints of op14, on bones that never change, from a standing T-pose."""
+"""Test laws of the whole body: it passes through the joints of op14, on rigid bones, from a standing T-pose."""
 
 from __future__ import annotations
 

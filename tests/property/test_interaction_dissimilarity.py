@@ -1,4 +1,4 @@
-"""Laws of the dissimilarities, and agreement of the kernels with the plain forms."""
+"""Test laws of the dissimilarities, and that kernels agree with the plain forms."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def hidden(rng: np.random.Generator, points: np.ndarray, share: float) -> np.nda
 
 
 def plain_masked(first: np.ndarray, second: np.ndarray) -> float:
-    """Return d_I over the points both show, edge by edge: the graph of each is that over its own points."""
+    """Return d_I edge by edge over the points that both show; each graph spans all seen points of its pair."""
     both = [k for k in range(len(first)) if np.isfinite(first[k]).all() and np.isfinite(second[k]).all()]
     align = align_plane if first.shape[1] == 2 else lambda moved, fixed: align_rigid(moved, fixed).apply(moved)
     difference = dict(zip(both, align(first[both], second[both]) - second[both], strict=True))
@@ -246,7 +246,7 @@ def test_coverage_refuses_nothing_and_nan() -> None:
 @given(seed=st.integers(0, 2**32 - 1), num_joints=st.integers(3, 12))
 @settings(max_examples=25, deadline=None)
 def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints: int) -> None:
-    """Also where joints are odd or few in number, and where several others are nearly as near as each other."""
+    """The number of joints may be odd or small, and several pairs may be almost equally near."""
     rng = np.random.default_rng(seed)
     truth, pairs = rng.normal(size=(4, 2, num_joints, 3)), rng.normal(size=(9, 2, num_joints, 3))
     pairs[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))

@@ -1,4 +1,4 @@
-"""Laws of rotations, forward kinematics and alignment."""
+"""Test laws of rotations, forward kinematics and alignment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mangled files raise our errors with a sentence, and nothing else; what is read is finite."""
+"""Mangle files: readers raise only our errors, with a sentence, and whatever they read is finite."""
 
 from __future__ import annotations
 

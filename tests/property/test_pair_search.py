@@ -1,4 +1,4 @@
-"""Pairs looked up as one: the tree gives what looking at every pair gives, and people may come in either order."""
+"""Search whole pairs: the tree finds what brute force finds, with people in either order."""
 
 from __future__ import annotations
 

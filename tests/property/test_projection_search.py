@@ -1,4 +1,4 @@
-"""The search tree gives exactly what looking at every projection gives."""
+"""Compare the search tree with brute force over all projections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Yaw between the steps: never further from the query, and found again where it is known."""
+"""Refine yaw between its steps: never further from the query, and right where it is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawn stores: nothing of a tested interaction is learned from, and the n-th window is the n-th of its variant."""
+"""Draw stores and test that no model learns from a tested interaction, and that windows hold their frames."""
 
 from __future__ import annotations
 

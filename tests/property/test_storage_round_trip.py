@@ -1,3 +1,5 @@
+"""Store columns of every kind and read them back; refuse any other value in one sentence."""
+
 from __future__ import annotations
 
 import tempfile

@@ -1,4 +1,4 @@
-"""Film of a hand-held camera: its motion is found from the background, and subtracted; keypoints alone tell of it."""
+"""Find the motion of a hand-held camera from the background or from keypoints, and subtract it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pinhole cameras and virtual video."""
+"""Check pinhole cameras and virtual video."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Films that leave: a browser plays them, and every frame is the one that was given, upright and in its colours."""
+"""Export films: a browser plays them, and every frame is upright and has its colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Film and its take: who is who, both clocks and the camera are found back; another motion is refused."""
+"""Align a film with its take: who is who, clocks and camera; refuse another motion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PITCH_RAD = 0.25
 
 
 def people(*seeds: int, num_frames: int = 500) -> np.ndarray:
-    """Walkers side by side (frame, person, 14, 3)."""
+    """Return walkers side by side (frame, person, 14, 3)."""
     return np.stack(
         [walk(num_frames, seed=seed, rate_hz=HZ) + np.array([1.4 * at, 0.0, 0.0]) for at, seed in enumerate(seeds)],
         axis=1,
@@ -31,7 +31,7 @@ def camera() -> PinholeCamera:
 
 
 def film(truth: np.ndarray, *, offset_s: float, rate: float, is_lens_known: bool = False) -> list[Track]:
-    """Tracks of 4 s of these people by a clock of its own; whoever is listed last is the first of the film."""
+    """Return tracks of 4 s of these people, in reverse order, by another clock."""
     rng, count = np.random.default_rng(0), 100
     frames = (offset_s + rate * np.arange(count) / FILM_HZ) * HZ
     low, share = frames.astype(int), (frames % 1.0)[:, None, None, None]

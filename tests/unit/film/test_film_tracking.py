@@ -1,4 +1,4 @@
-"""Joints tracked between key frames of rendered film, whose truth is known; gaps, what is hidden, cuts, rates."""
+"""Track joints between key frames of rendered film, whose truth is known: gaps, hidden joints, cuts, rates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pair's local frame and projections under views given in it."""
+"""Check the local frame of a pair, and projections under views given in it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.builders.poses import direction_of_angles
 
 
 def random_pairs(seed: int, count: int = 20) -> np.ndarray:
-    """Random but person-like pairs: upright torsos, about a metre apart."""
+    """Return random pairs with upright torsos, about a metre apart."""
     rng = np.random.default_rng(seed)
     pairs = rng.normal(scale=0.3, size=(count, 2, 17, 3))
     pairs[:, :, PAIR17.index("neck")] = pairs[:, :, 0] + [0, 0.5, 0] + rng.normal(scale=0.1, size=(count, 2, 3))

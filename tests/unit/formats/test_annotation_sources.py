@@ -1,4 +1,4 @@
-"""Sources of 2D poses as users have them: several cameras, a video beside the files, a video instead of files."""
+"""Find sources of 2D poses as users have them: several cameras, a video beside the files, a video in place of files."""
 
 from __future__ import annotations
 

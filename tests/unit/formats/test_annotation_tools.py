@@ -1,4 +1,4 @@
-"""COCO and CVAT, in and out: nothing is lost on the way to an annotation tool and back; bad XML is refused."""
+"""Write and read COCO and CVAT: annotation tools lose nothing; bad XML is refused."""
 
 from __future__ import annotations
 

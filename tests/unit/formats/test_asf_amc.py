@@ -1,4 +1,4 @@
-"""ASF/AMC: the meaning of axes and degrees of freedom, named faults, and agreement with an independent conversion."""
+"""Read ASF/AMC: axes and degrees of freedom, faults by line, agreement with an independent conversion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""BVH: what is read is what the format means, faults name their line, and writing is the inverse of reading."""
+"""Read and write BVH: the meaning of channels, faults by line, and a round trip."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_real_files_agree_with_an_independent_reader(data_dir: Path, name: str) 
 
 
 def test_the_head_of_a_large_file_is_read_by_some_of_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wrong number in a frame between them is told when the motion is read; what else is no plain table at once."""
+    """Only `read_bvh` finds a wrong number between the sampled frames; anything but numbers is found at once."""
     monkeypatch.setattr("pasdedeux.formats.bvh._LARGE_BYTES", 50_000)
     monkeypatch.setattr("pasdedeux.formats.bvh._NUM_SAMPLED", 200)
     head, _, rest = bvh_text(num_frames=3).partition("Frames: 3")

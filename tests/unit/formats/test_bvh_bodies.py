@@ -1,4 +1,4 @@
-"""BVH as programs write it: any spelling, nodes above the hips, bones that stretch, several people in a file."""
+"""Read BVH as programs write it: any spelling, nodes above the hips, bones that stretch, several people in a file."""
 
 from __future__ import annotations
 

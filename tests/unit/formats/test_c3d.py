@@ -1,3 +1,5 @@
+"""Read and write C3D: files of other programs, long takes, gaps, several people, damage."""
+
 import re
 import struct
 

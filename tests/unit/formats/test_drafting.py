@@ -1,4 +1,4 @@
-"""Mappings drafted for joints that no layout knows: by names, tree and pose, and what is not sure is said."""
+"""Draft mappings of joints that no layout knows, by names, tree and pose; mark guesses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Takes of ExPI: both people of a file, in our order and axes; contacts and JPD on their 18 joints."""
+"""Read takes of ExPI: both people, our order of joints and our axes; contacts and JPD on 18 joints."""
 
 from __future__ import annotations
 

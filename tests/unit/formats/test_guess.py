@@ -1,4 +1,4 @@
-"""What a motion file does not state: axis, unit and handedness are told by how its bodies stand, step and bend."""
+"""Guess what a motion file does not state: axis, unit and handedness, from how its bodies stand, step and bend."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_a_body_that_leans_or_lies_against_its_rest_pose_is_no_sure_one(lean_rad
 
 
 def test_a_rest_pose_that_is_no_person_raises_no_doubt_of_one_frame_that_stands() -> None:
-    """As files whose joints have frames of their own: every bone points along x at rest."""
+    """In some files every joint has a frame of its own, so that every bone points along x at rest."""
     source = replace(MIXAMO, pose="random").source().frames(0, 1)
     along = np.linalg.norm(source.rest_offsets, axis=-1)[:, None] * np.array([1.0, 0.0, 0.0])
     local = local_rotations(source.skeleton, rest_positions(source.skeleton, along), positions(source))
@@ -113,7 +113,7 @@ def test_a_rest_pose_that_is_no_person_raises_no_doubt_of_one_frame_that_stands(
 
 
 def test_hands_that_stand_leave_doubt() -> None:
-    """Somebody who stands on hands, legs swinging, has feet above: the other axis would be taken for up."""
+    """The feet of somebody who stands on the hands are above the head, so the wrong axis may seem to point up."""
     source = read_bvh(SMALL_BVH)
     names = source.skeleton.joint_names
     still = SourceMotion.at_rest(source.skeleton, source.rest_offsets)

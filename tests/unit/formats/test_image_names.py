@@ -1,4 +1,4 @@
-"""Frames and videos by the names of images: the counter is found wherever it stands, and doubt is refused."""
+"""Tell frames and videos by the names of images; refuse names that are ambiguous."""
 
 from __future__ import annotations
 

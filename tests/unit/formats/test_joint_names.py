@@ -1,4 +1,4 @@
-"""Layouts by the names of joints in any spelling and order, and by geometry where there are only numbers."""
+"""Find a layout by names of joints in any spelling and order, or by geometry where joints have only numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""2D formats: values, what is missing, layouts told and wrong ones noticed, round trips."""
+"""Read formats of 2D poses: values, missing keypoints, layouts that are told apart or refused, and round trips."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
 
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
 def test_noise_missing_joints_and_junk_do_not_make_people_of_another_layout(layout: str) -> None:
-    """Whatever a detector adds to the right keypoints, they stay right: what is measured are medians."""
+    """Anatomy is checked by medians, so noise of a detector does not matter."""
     rng = np.random.default_rng(7)
     for noise_px, missing, junk in ((0.0, 0.0, 0), (5.0, 0.1, 0), (5.0, 0.1, 3), (8.0, 0.3, 1)):
         px = np.stack([person_px(layout, seed) for seed in range(40)])

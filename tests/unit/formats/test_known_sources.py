@@ -1,4 +1,4 @@
-"""What is known of CMU's files better than they say themselves."""
+"""Correct what CMU's files state wrongly."""
 
 from __future__ import annotations
 

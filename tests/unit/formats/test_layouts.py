@@ -1,4 +1,4 @@
-"""Layouts: known joint names are recognised, sides are kept, and working bones keep their lengths."""
+"""Derive working skeletons by layouts: sides are kept, and bones keep their lengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A source's own skeleton, scaled and posed by body22: the source itself at scale 1, a body with fingers at others."""
+"""Scale and pose the skeleton of a source by body22: at scale 1 the source itself comes back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pair in a file: what is written is read back, and what is no pair is refused in one sentence."""
+"""Write and read files of pairs; refuse other content in one sentence."""
 
 from __future__ import annotations
 

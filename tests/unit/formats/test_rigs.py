@@ -1,4 +1,4 @@
-"""Rigs of programs in use: recognised under any spelling, and derived joints lie where the person's are."""
+"""Recognise rigs of programs in use under any spelling; their derived joints lie where the person's are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of several people that are no C3D: TRC and npz; each person is read where the file has it."""
+"""Read each person of files of several people: TRC, npz, and studies of one such file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skeletons and joint mappings."""
+"""Check skeletons and joint mappings."""
 
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+"""Read parameters of SMPL, SMPL-H and SMPL-X, and fit betas to lengths of bones."""
+
 import io
 import re
 from typing import Any

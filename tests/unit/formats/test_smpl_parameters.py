@@ -1,4 +1,4 @@
-"""Body parameters through a study and back: an InterHuman-like folder to takes, variants and files of parameters."""
+"""Take body parameters through a study and back: a folder like InterHuman's to takes, variants and parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other people's bodies: files, tables and positions become bone scales, and what does not fit is said."""
+"""Fit bone scales to a body given by a file, a table or positions; report what does not fit."""
 
 from __future__ import annotations
 

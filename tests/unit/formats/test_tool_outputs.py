@@ -1,4 +1,4 @@
-"""What tools in use write: each kind is the same two people, or one, in the frames and with the numbers they have."""
+"""Read the files of tools in use: each holds the same one or two people, with their frames and numbers."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_a_folder_of_yolo_is_read(has_scores: bool, tail: str, name: str) -> Non
 
 
 def test_visibilities_are_judged_by_the_file_and_not_by_the_person() -> None:
-    """Somebody who is hidden everywhere has 1s alone, and the same confidence as what is hidden of others."""
+    """Somebody who is always hidden has only 1s, which mean the same as the 1s of others."""
     content = json.loads(coco_text(num_frames=3, people=2))
     for person in content["annotations"][::2]:
         person["keypoints"][2::3] = [min(1.0, v) for v in person["keypoints"][2::3]]
@@ -311,7 +311,7 @@ def test_keypoints_of_another_size_are_scaled_where_the_file_states_it_and_refus
     ],
 )
 def test_keypoints_that_seem_to_be_of_another_size_are_doubted(scale: float, num_outside: int, doubt: str) -> None:
-    """Points near the edges, of whom so many of a hundred are outside, or in a quarter of the image may be right."""
+    """Keypoints of which some per cent lie outside, or all in a quarter of the image, may be right."""
     seen = np.concatenate([table[table[:, 2] > 0, 0] for _, _, table in listed()])
     left_px = np.percentile(seen, num_outside) + 0.06 * 640 if num_outside else 0.0
     found = read_annotations(COCO, scaled_coco(scale, SIZE_PX, left_px=left_px), source_id="s")

@@ -1,4 +1,4 @@
-"""Skinned bodies: closed surfaces that stay by the capsules and follow the joints."""
+"""Check skinned bodies: closed surfaces near the capsules that follow the joints."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def cones_in(skeleton: Skeleton, stature_m: float) -> Cones:
 
 
 def distance_to_cone(point: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> float:
-    """Return the distance to a round cone: to the nearest of very many balls."""
+    """Return the distance to a round cone, as that to the nearest of many balls."""
     shares = np.linspace(0.0, 1.0, 2001)[:, None]
     balls = ends[0] + shares * (ends[1] - ends[0])
     return float((np.linalg.norm(point - balls, axis=-1) - (radii[0] + shares[:, 0] * (radii[1] - radii[0]))).min())

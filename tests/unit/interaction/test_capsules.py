@@ -1,4 +1,4 @@
-"""Capsules round bones and their penetration."""
+"""Check capsules round bones and their penetration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MODEL = capsule_model(PAIR17)
 
 
 def brute_distance(ends: np.ndarray, steps: int = 400) -> float:
-    """Distance of two segments over a fine grid of their points."""
+    """Return the distance of two segments over a fine grid of their points."""
     at = np.linspace(0.0, 1.0, steps + 1)[:, None]
     a = ends[0] + at * (ends[1] - ends[0])
     b = ends[2] + at * (ends[3] - ends[2])

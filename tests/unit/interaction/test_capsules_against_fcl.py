@@ -1,4 +1,4 @@
-"""Closed-form capsule penetration against the Flexible Collision Library."""
+"""Compare penetration of capsules with the Flexible Collision Library."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOLERANCE_M = 2e-6
 
 
 def capsule(start: np.ndarray, end: np.ndarray, radius: float) -> fcl.CollisionObject:
-    """FCL's capsules lie along z, their middle at the origin."""
+    """Return a capsule of FCL, which lies along z around the origin before it is placed."""
     length = float(np.linalg.norm(end - start))
     turn = swing_between(np.array([[0.0, 0.0, 1.0]]), ((end - start) / length)[None])
     return fcl.CollisionObject(

@@ -1,4 +1,4 @@
-"""The check of a capture: good takes pass, each planted fault is named, whatever place, heading and rate."""
+"""Check captures: good takes pass and each planted fault is named, at any place, heading and rate."""
 
 from __future__ import annotations
 
@@ -155,28 +155,28 @@ def test_a_limit_is_what_the_study_says() -> None:
 
 STAND = duet("waltz", 30.0)[0, 0] - [0.0, duet("waltz", 30.0)[0, 0, FEET, 1].min(), 0.0]
 ABOVE_M = float(np.linalg.norm(STAND[:, None] + [0.0, 2.0, 0.0] - STAND, axis=-1).min())
-"""From somebody to the same one 2 m higher."""
+"""Distance of a person to a copy 2 m above."""
 LONGER_M = 0.05 * normalise(STAND[BODY22.index("head")] - STAND[BODY22.index("neck")])
-"""5 cm along the neck."""
+"""Vector of 5 cm along the neck."""
 LYING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def still(*, frames: Sequence[int] = (), joint: str = "", by: npt.ArrayLike = 0.0) -> Array:
-    """Return somebody who stands still for 120 frames, a joint or all of him moved in some of them."""
+    """Return a person who stands still for 120 frames; a joint or the whole body is moved in some of them."""
     body = np.repeat(STAND[None], 120, axis=0)
     body[np.ix_(frames, [BODY22.index(joint)] if joint else range(22))] += by
     return body
 
 
 def moving(path: Array, joint: str = "") -> Array:
-    """Return somebody who stands, with a joint or all of him on a path along x (frame,)."""
+    """Return a standing person; a joint or the whole body moves on a path (frame,) along x."""
     body = np.repeat(STAND[None], len(path), axis=0)
     body[:, [BODY22.index(joint)] if joint else slice(None), 0] += path[:, None]
     return body
 
 
 def stepping(path: Array, *, above_m: float) -> Array:
-    """Return somebody whose right foot slides along a path (frame,), while the left one is still, so far above it."""
+    """Return a person whose right foot slides along a path (frame,); the left one is still and this much higher."""
     body = np.repeat(STAND[None], len(path), axis=0)
     left, right = (BODY22.indices([f"{side}_ankle", f"{side}_toe"]) for side in ("left", "right"))
     body[:, left, 1] = body[:, right, 1] + above_m
@@ -202,7 +202,7 @@ def grown(stature_m: float) -> Array:
 
 
 def beside(gap_m: npt.ArrayLike) -> list[Array]:
-    """Return two, the left hand of one so far (frame,) from the right hand of the other, arms on one line."""
+    """Return two people side by side, a gap (frame,) between a left hand and a right one."""
     left, right = grown(1.8), grown(1.8)
     apart_m = np.ptp(left[0, BODY22.indices(["left_wrist", "right_wrist"]), 0]) + np.asarray(gap_m)
     right[..., 0] += apart_m * np.ones((120, 1))
@@ -210,14 +210,14 @@ def beside(gap_m: npt.ArrayLike) -> list[Array]:
 
 
 def imitated(by_m: npt.ArrayLike) -> list[Array]:
-    """Return one of a usual stature and one of two thirds of it who does the same, turned, a hand higher by so much."""
+    """Return a person, and a turned copy of two thirds the size whose left hand is this much higher."""
     taller, smaller = grown(1.7), grown(1.7)
     smaller[:, BODY22.index("left_wrist"), 1] += by_m
     return [taller, smaller @ TURNED / 1.5 + [3.0, 1.0, -2.0]]
 
 
 RARELY = (np.arange(120) % 12 == 0)[:, None]
-"""Every fourth of the frames that are looked at, at 30 and at 60 Hz."""
+"""A quarter of the frames that the check samples, at 30 and at 60 Hz."""
 
 
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0])

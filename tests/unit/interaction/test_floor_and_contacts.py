@@ -1,4 +1,4 @@
-"""Where people touch and who stands: surfaces of bones, and one floor under everybody."""
+"""Find where people touch and who stands: surfaces of bones, and one floor for all."""
 
 from __future__ import annotations
 

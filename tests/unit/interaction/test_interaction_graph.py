@@ -1,4 +1,4 @@
-"""Graphs over joints, the planar triangulation kernel and contacts."""
+"""Check graphs over joints and the kernel of planar triangulation."""
 
 from __future__ import annotations
 

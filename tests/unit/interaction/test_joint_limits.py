@@ -1,4 +1,4 @@
-"""Joint angles, limits and nearest valid poses."""
+"""Check joint angles, limits and nearest valid poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people handle, and contacts that are stated: read, found, kept, refused in words."""
+"""Read objects and stated contacts, find contacts with objects, and keep them in variants."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_hands_on_an_object_are_found_wherever_the_take_lies() -> None:
 
 
 def test_contacts_lie_in_another_motion_where_its_bodies_are() -> None:
-    """B steps back by 5 cm: so far do his contacts with A open, along their line; what is held of the bar stays."""
+    """B steps back by 5 cm: contacts with A open by as much along their line; those with the bar stay."""
     people = swaying_pair(6, apart_m=0.3)
     bar = np.repeat(people[:, 0, [20, 21]][:, None], 1, axis=1)
     source = Source(people, 30.0, objects=MovingObjects(("bar",), bar, np.array([0.015])))
@@ -212,7 +212,7 @@ def test_an_object_without_a_name_is_no_object() -> None:
 
 
 def trio_files(folder: Path) -> dict[str, Any]:
-    """Write a trio at 60 Hz with a hoop in the middle and a table of contacts; give the take's options."""
+    """Write a trio at 60 Hz, a hoop in the middle and a table of contacts; return the options of the take."""
     trio = make_duet("trio", duration_s=1.0)
     files = []
     for letter, motion in zip("ABC", trio.motions, strict=True):

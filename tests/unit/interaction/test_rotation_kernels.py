@@ -1,4 +1,4 @@
-"""The compiled kit of rotations agrees with the one over arrays."""
+"""Compare the kernels of rotations with the functions over arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracks that end where another begins: joined where that is clear, else asked, and a table of people overrules it."""
+"""Join a track to one that begins where it ends, if that is clear; a table of people overrules it."""
 
 from __future__ import annotations
 

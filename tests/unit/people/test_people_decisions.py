@@ -1,4 +1,4 @@
-"""Who is who can be read and overruled: merged, renamed, dropped, split by frames; bad rows get one clear sentence."""
+"""Read and apply tables of people: merge, rename, drop, split by frames; refuse bad rows in one sentence."""
 
 from __future__ import annotations
 

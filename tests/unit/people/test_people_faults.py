@@ -1,4 +1,4 @@
-"""Faults of detectors are found by continuity: repaired where only labels are wrong, masked where places are."""
+"""Find faults of detectors by continuity: repair wrong labels, mask wrong places."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
 from tests.builders.filmed_people import KINDS, Faulty, JointCounts, count_joints, film, inject, people_of
 
 MIN_RECALL = {"stolen": 0.6, "merged": 0.6}
-"""Places that are the partner's cannot be told where the partner's limb is nearly there."""
+"""A limb found on the partner is not noticed where the partner's limb is near."""
 
 
 def filmed(name: str, noise_px: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""People keep their identity through crossings, absences and doubled detections, in whatever order they are listed."""
+"""Follow people through crossings, absences and doubled detections, in any order of rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def switches(seen: Detections, found: FollowedRows) -> int:
 
 
 def crossing(num_frames: int = 90) -> np.ndarray:
-    """Two walkers who pass through each other's place, one behind the other in the image."""
+    """Return two walkers who cross, one behind the other in the image."""
     couple = np.stack([walk(num_frames, seed=person, rate_hz=30.0, turn_rad=0.0) for person in range(2)], axis=1)
     displacement_m = np.linspace(-1.2, 1.2, num_frames)[:, None]
     couple[:, 0, :, 0] += displacement_m

@@ -1,4 +1,4 @@
-"""People are named A to Z, then AA, AB, ..., wherever a person is named."""
+"""Name people A to Z, then AA, AB, ..."""
 
 from __future__ import annotations
 

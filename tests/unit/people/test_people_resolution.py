@@ -1,4 +1,4 @@
-"""Who is who is resolved once: identities, faults and pairs reach every stage through the rows of a source."""
+"""Resolve the people of a source: identities, faults and partners."""
 
 from __future__ import annotations
 

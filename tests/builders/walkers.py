@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -13,7 +16,7 @@ from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["CAMERAS", "random_poses", "reconstruction", "walk", "walk_database"]
+__all__ = ["CAMERAS", "database_of", "random_poses", "reconstruction", "walk", "walk_database"]
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +47,13 @@ def walk(num_frames: int, *, seed: int = 0, rate_hz: float = 24.0, turn_rad: flo
     unitquat[:, OP14.root] = multiply(unitquat_from_rotvec(heading), unitquat_from_rotvec(lean))
     root = np.stack([0.3 * np.sin(0.5 * time), 0.92 + 0.02 * np.cos(2 * phase), 0.4 * time], axis=-1)
     return place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, root)
+
+
+def database_of(motions: Sequence[np.ndarray], **facts: Any) -> Database:
+    """Return a database of motions (frame, 14, 3), one after the other."""
+    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
+    starts = np.cumsum([0, *map(len, motions[:-1])])
+    return Database(poses, np.isin(np.arange(len(poses)), starts), **facts)
 
 
 def random_poses(rng: np.random.Generator, count: int, *, spread: float = 0.5) -> Array:

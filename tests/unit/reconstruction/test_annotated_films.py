@@ -1,4 +1,4 @@
-"""Annotated frames of one camera lifted together: places that a single frame cannot say; trunks from a lifted pair."""
+"""Annotated frames of one camera are lifted together, which places people better than single frames do."""
 
 from __future__ import annotations
 
@@ -49,22 +49,22 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     of_draws = database_of_draws(draws, np.deg2rad([0.0, 10.0, 20.0]).tolist())
     found = lift_over_time(tracks, frames, of_draws)
     assert found is not None
-    pairs = np.stack([as_pair17(one, draws[0]) for one in found.positions_m])
+    pairs = np.stack([as_pair17(lifted, draws[0]) for lifted in found.positions_m])
     true = truth[frames] @ camera.camera_from_world_rotmat.T
     errors = lifted_errors(pairs, true)
-    # People of other sizes dance the same in the draws: poses are near, and so is the distance that images leave open.
+    # The draws hold the same dance by people of other sizes: poses are near, and so is the distance between people.
     assert errors["lifted_pair_error"].mean() < 0.12
     assert errors["person_distance_error"].mean() < 0.08
     assert 0.5 < errors["lifted_pair_error"].mean() / found.expected_m.mean() < 2.0
-    # So do takes of a projection database.
+    # Takes of a projection database give the same.
     poses = centre_and_face(retarget_proportions(known.reshape(-1, 14, 3))).poses_m.astype(np.float32)
     database = Database(poses, np.ones(len(poses), dtype=bool))
     of_takes = database_of_takes(database, centre_pairs(known), np.deg2rad([0.0, 10.0, 20.0]).tolist())
     placed = lift_over_time(tracks, frames, of_takes)
     assert placed is not None
     between, true_between = (
-        one[:, 1] - one[:, 0]
-        for one in map(mid_hip, (placed.positions_m, op14[frames] @ camera.camera_from_world_rotmat.T))
+        lifted[:, 1] - lifted[:, 0]
+        for lifted in map(mid_hip, (placed.positions_m, op14[frames] @ camera.camera_from_world_rotmat.T))
     )
     assert np.linalg.norm(between - true_between, axis=-1).mean() < 0.12
     assert lift_over_time(tracks, frames[: MIN_FRAMES - 1], of_draws) is None
@@ -74,11 +74,12 @@ def test_people_are_placed_by_the_frames_of_their_camera_together() -> None:
     stated = StatedCamera(height_m=float(camera.position_m[1]))
     tall = lift_over_time(tracks, frames[:MIN_FRAMES], one_pitch, statures_m={6: 2.2})
     usual = lift_over_time(tracks, frames[:MIN_FRAMES], one_pitch, stated)
-    heights = [
-        np.median(body_height_m(OP14, bone_lengths(OP14, one.positions_m)), axis=0) for one in (tall, usual) if one
-    ]
-    assert heights[0][1] == pytest.approx(2.2, abs=0.02)
-    assert heights[1][1] < 1.95
+    assert tall is not None
+    assert usual is not None
+    lengths = (bone_lengths(OP14, lifted.positions_m[:, 1]) for lifted in (tall, usual))
+    tall_m, usual_m = (np.median(body_height_m(OP14, length)) for length in lengths)
+    assert tall_m == pytest.approx(2.2, abs=0.02)
+    assert usual_m < 1.95
 
 
 def test_trunks_move_with_shoulders_and_hips_at_the_size_of_the_person() -> None:

@@ -45,7 +45,7 @@ def database() -> tuple[Searcher, np.ndarray]:
 
 @cache
 def filmed() -> tuple[list[Track], np.ndarray]:
-    """Return tracks of two people of other sizes, by a lens that is not one assumed and the truth in camera axes."""
+    """Return tracks of two people of other sizes, by a lens that is not assumed, and the truth in camera axes."""
     world = couple(FRAMES, start_s=1.03) * np.array(SIZES)[:, None, None]
     hips = mid_hip(world)
     world += (mid_hip(couple(FRAMES, start_s=1.03)) - hips)[:, :, None] * [1.0, 0.0, 1.0]
@@ -59,7 +59,7 @@ def filmed() -> tuple[list[Track], np.ndarray]:
 
 
 def depth_error(found: ReconstructedPeople, truth: np.ndarray) -> float:
-    first, second = (one.root_m[:, 2] for one in found.methods[-1].people)
+    first, second = (person.root_m[:, 2] for person in found.methods[-1].people)
     true = mid_hip(truth[:, 1])[:, 2] - mid_hip(truth[:, 0])[:, 2]
     return float(np.abs(second - first - true).mean())
 
@@ -76,7 +76,7 @@ def test_pairs_find_the_depth_between_two_people() -> None:
     assert depth_error(placed, truth) < 0.2
     scene = placed.scene
     assert scene is not None
-    # Nobody knows how large people are but one of another; the lens is told from the depths of pairs.
+    # Only relative sizes of people are known; the lens follows from the depths of pairs.
     assert scene.sizes[0] / scene.sizes[1] == pytest.approx(SIZES[0] / SIZES[1], rel=0.1)
     assert scene.lens_factor == pytest.approx(FOCAL_PX / ASSUMED_FOCAL_PX, rel=0.25)
     assert abs(placed.pitch.pitch_rad) < np.deg2rad(4.0)
@@ -85,7 +85,7 @@ def test_pairs_find_the_depth_between_two_people() -> None:
 def test_a_stated_focal_length_is_kept() -> None:
     tracks, truth = filmed()
     known = Lens(FOCAL_PX, (960.0, 540.0), is_known=True)
-    stated = [replace(one, lens=known) for one in tracks]
+    stated = [replace(track, lens=known) for track in tracks]
     placed = reconstructed(stated, database()[1], Method.VITERBI)
     assert placed.scene is not None
     assert placed.scene.lens_factor == pytest.approx(1.0, abs=0.05)
@@ -96,17 +96,17 @@ def test_the_baseline_is_left_where_everybodys_own_size_puts_them() -> None:
     tracks, _ = filmed()
     with_pairs, without = (reconstructed(tracks, pairs, Method.NEAREST) for pairs in (None, database()[1]))
     assert with_pairs.scene is None
-    for one, other in zip(with_pairs.methods[-1].people, without.methods[-1].people, strict=True):
-        np.testing.assert_array_equal(one.positions_m, other.positions_m)
+    for person, same in zip(with_pairs.methods[-1].people, without.methods[-1].people, strict=True):
+        np.testing.assert_array_equal(person.positions_m, same.positions_m)
 
 
 def test_pairs_that_look_like_nobody_move_people_little() -> None:
     tracks, truth = filmed()
     rng = np.random.default_rng(0)
-    other = np.stack([walk(60, seed=50 + person, turn_rad=6.0) for person in (0, 1)], axis=1)
-    other[:, 1] += rng.normal(0.0, 1.0, (60, 1, 3)) * [0.3, 0.6, 1.0]
+    strangers = np.stack([walk(60, seed=50 + person, turn_rad=6.0) for person in (0, 1)], axis=1)
+    strangers[:, 1] += rng.normal(0.0, 1.0, (60, 1, 3)) * [0.3, 0.6, 1.0]
     alone = reconstructed(tracks, None, Method.VITERBI)
-    placed = reconstructed(tracks, centre_pairs(other), Method.VITERBI)
+    placed = reconstructed(tracks, centre_pairs(strangers), Method.VITERBI)
     assert depth_error(placed, truth) < depth_error(alone, truth) + 0.1
 
 
@@ -117,6 +117,6 @@ def test_gaps_and_tracks_that_only_overlap_are_placed_where_both_are_seen() -> N
     seen[20:30] = 0.0
     late = Track(second.keypoints_px[8:], seen[8:], 24.0, second.lens, 1, 8, 8 / 24.0, 0)
     placed = reconstructed([first, late], database()[1], Method.VITERBI)
-    for one, frames in zip(placed.methods[-1].people, (FRAMES, FRAMES - 8), strict=True):
-        assert one.positions_m.shape == (frames, 14, 3)
-        assert np.isfinite(one.positions_m).all()
+    for person, frames in zip(placed.methods[-1].people, (FRAMES, FRAMES - 8), strict=True):
+        assert person.positions_m.shape == (frames, 14, 3)
+        assert np.isfinite(person.positions_m).all()

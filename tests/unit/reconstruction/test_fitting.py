@@ -1,3 +1,5 @@
+"""Terms and solvers of fits of poses with exact bones."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from pasdedeux.fitting.blocks import NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.dragging import pull_joint
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
+from pasdedeux.fitting.observed_pose import BoneVectorTerm
 from pasdedeux.fitting.terms import (
     AccelerationTerm,
     DistanceTerm,
@@ -18,10 +21,13 @@ from pasdedeux.fitting.terms import (
     Term,
 )
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.reconstruction.views.fit import RayTerm
 from pasdedeux.skeletons import BODY22, Skeleton
 from tests.builders.moving_pairs import swaying_pair
 
 CHAIN = Skeleton("chain", ("root", "a", "b", "c", "d"), (-1, 0, 1, 1, 3))
+TREE = Skeleton("tree", tuple("abcdefghij"), (-1, 0, 1, 1, 3, 0, 5, 5, 7, 8))
 
 
 def _chain(generator: np.random.Generator, frames: int) -> tuple[BoneForest, np.ndarray]:
@@ -30,10 +36,17 @@ def _chain(generator: np.random.Generator, frames: int) -> tuple[BoneForest, np.
 
 
 def _terms(generator: np.random.Generator, frames: int) -> list[Term]:
+    """Return one of each kind, the quadratic ones first."""
     pairs = np.array([[0, 6], [2, 9]])
     return [
         PointTerm(generator.normal(size=(frames, 10, 3)), generator.uniform(0.1, 2.0, (frames, 10, 3))),
         AccelerationTerm(generator.uniform(0.1, 2.0, (max(frames - 2, 0), 1, 1))),
+        BoneVectorTerm(TREE, generator.normal(size=(frames, 10, 3)), generator.uniform(size=(frames, 10, 3))),
+        RayTerm(
+            generator.normal(size=3),
+            normalise(generator.normal(size=(frames, 10, 3))),
+            generator.uniform(0.0, 2.0, (frames, 10)),
+        ),
         DistanceTerm(pairs, np.full((frames, 2), 0.5), np.array(3.0)),
         HalfSpaceTerm(
             origin_m=generator.normal(size=(frames, 10, 3)),
@@ -72,7 +85,7 @@ def test_block_solve_refuses_a_matrix_that_is_not_positive_definite() -> None:
         solve_blocks(-np.eye(3)[None], np.zeros((1, 2, 3, 3)), np.ones((1, 3)))
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(6))
 def test_gradients_agree_with_finite_differences(index: int) -> None:
     generator = np.random.default_rng(5)
     frames = 4
@@ -85,7 +98,7 @@ def test_gradients_agree_with_finite_differences(index: int) -> None:
     assert 2.0 * (normal.gradient * direction).sum() == pytest.approx(slope, rel=1e-6)
 
 
-@pytest.mark.parametrize("index", range(2))
+@pytest.mark.parametrize("index", range(4))
 def test_curvature_of_quadratic_terms_is_exact(index: int) -> None:
     generator = np.random.default_rng(6)
     frames = 5
@@ -96,6 +109,7 @@ def test_curvature_of_quadratic_terms_is_exact(index: int) -> None:
     whole = QuadraticTerm(
         np.zeros((frames, 10, 3)), normal.matrix, normal.lag1, normal.lag2, np.zeros((frames, 10, 3))
     ).energy(direction)
+    whole += sum((weights * (direction * unit).sum(axis=-1) ** 2).sum() for _, _, weights, unit in normal.stencils)
     second = term.energy(positions + direction) + term.energy(positions - direction) - 2.0 * term.energy(positions)
     assert whole == pytest.approx(0.5 * second, rel=1e-9)
 

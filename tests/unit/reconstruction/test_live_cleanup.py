@@ -23,11 +23,11 @@ def dancer() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def gliding(dancer: np.ndarray) -> np.ndarray:
-    """The same poses on a way as one camera sees it: smooth errors of some centimetres in depth and height."""
+    """Return the same poses on a path with the smooth errors, above all in depth, that one camera makes."""
     rng = np.random.default_rng(0)
     window = np.hanning(25)
     noise = rng.normal(0, 1, (3, len(dancer) + 24))
-    error = np.stack([np.convolve(one, window / window.sum(), "valid") for one in noise], axis=-1)
+    error = np.stack([np.convolve(axis, window / window.sum(), "valid") for axis in noise], axis=-1)
     return np.asarray(dancer + (error * np.array([0.03, 0.03, 0.2]))[:, None])
 
 
@@ -40,7 +40,7 @@ def test_standing_feet_slide_less_and_the_error_and_the_jitter_hardly_rise(
     dancer: np.ndarray, gliding: np.ndarray
 ) -> None:
     found = cleaned(gliding)
-    before, after = (foot_slide_m(one, dancer, rate_hz=RATE_HZ) for one in (gliding, found))
+    before, after = (foot_slide_m(motion, dancer, rate_hz=RATE_HZ) for motion in (gliding, found))
     assert after < 0.4 * before
     assert root_centred_error_m(found, dancer).mean() < root_centred_error_m(gliding, dancer).mean() + 0.01
     assert jitter_m(found) < jitter_m(gliding) + 0.002
@@ -57,12 +57,12 @@ def test_bones_keep_their_length_and_ankles_do_not_sink(gliding: np.ndarray) -> 
 
 
 def test_a_pose_that_left_does_not_depend_on_what_comes_later(gliding: np.ndarray) -> None:
-    other = gliding.copy()
-    other[120:] += 1.0
-    np.testing.assert_array_equal(cleaned(gliding)[:120], cleaned(other)[:120])
+    changed = gliding.copy()
+    changed[120:] += 1.0
+    np.testing.assert_array_equal(cleaned(gliding)[:120], cleaned(changed)[:120])
 
 
-def test_a_foot_let_go_of_returns_to_where_it_is_seen(dancer: np.ndarray) -> None:
+def test_a_released_foot_returns_to_where_it_is_seen(dancer: np.ndarray) -> None:
     clean_up = LiveCleanUp(RATE_HZ)
     still = np.repeat(dancer[:1], 20, axis=0)
     moved = still + np.array([0.0, 0.0, 0.1]) * np.linspace(0, 1, 20)[:, None, None]
@@ -76,14 +76,14 @@ def test_a_foot_let_go_of_returns_to_where_it_is_seen(dancer: np.ndarray) -> Non
     np.testing.assert_allclose(found, flying + np.array([0.05 * 399, 0.5, 0.0]), atol=1e-2)
 
 
-def test_who_is_held_up_stands_on_nothing_though_the_feet_hang_still(dancer: np.ndarray) -> None:
+def test_a_person_held_up_stands_on_nothing_though_the_feet_hang_still(dancer: np.ndarray) -> None:
     holder = np.repeat(dancer[:1], 120, axis=0)
     held = holder + np.array([0.4, 0.5, 0.0])
     floor = LiveFloor(RATE_HZ)
     both = [LiveCleanUp(RATE_HZ, floor=floor, person=person) for person in (0, 1)]
     alone = LiveCleanUp(RATE_HZ)
     for frame in range(120):
-        found = [one.step(frame, motion[frame]) for one, motion in zip(both, (holder, held), strict=True)]
+        found = [clean_up.step(frame, motion[frame]) for clean_up, motion in zip(both, (holder, held), strict=True)]
         alone.step(frame, held[frame])
         np.testing.assert_allclose(found[1], held[frame], atol=1e-9)
     assert both[0].is_planted.any()
@@ -112,10 +112,3 @@ def test_a_leg_bends_as_offline(dancer: np.ndarray) -> None:
             dancer[:1, hip], dancer[:1, knee], dancer[:1, ankle], target[None], fallback=np.array([[0.0, 0.0, 1.0]])
         )
         np.testing.assert_allclose(found[[knee, ankle]], np.concatenate(expected), atol=1e-9)
-
-
-def test_jitter_is_the_mean_length_of_second_differences_over_joints_and_frames() -> None:
-    pull_m = np.random.default_rng(0).normal(size=(14, 3))
-    thrown = 0.5 * np.arange(6.0)[:, None, None] ** 2 * pull_m + np.arange(6.0)[:, None, None]
-    assert jitter_m(thrown) == pytest.approx(np.linalg.norm(pull_m, axis=1).mean())
-    assert jitter_m(thrown[:2]) == 0.0

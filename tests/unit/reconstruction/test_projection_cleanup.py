@@ -22,7 +22,7 @@ def dancer() -> np.ndarray:
 
 
 def gliding(true: np.ndarray, seed: int = 0) -> np.ndarray:
-    """The same poses on a way as one camera sees it: smooth errors of some centimetres in depth and height."""
+    """Return the same poses on a path with the smooth errors, above all in depth, that one camera makes."""
     rng = np.random.default_rng(seed)
     window = np.hanning(25)
     error = np.stack([np.convolve(rng.normal(0, 1, len(true) + 24), window / window.sum(), "valid") for _ in range(3)])
@@ -39,11 +39,11 @@ def test_planted_feet_stand_still_and_the_error_does_not_rise(dancer: np.ndarray
     found = clean_up(seen, rate_hz=30.0)
     assert found.is_planted.mean() > 0.3
     assert planted_step(found.positions_m, found.is_planted) < 0.1 * planted_step(seen, found.is_planted)
-    before, after = (root_centred_error_m(one, dancer).mean() for one in (seen, found.positions_m))
+    before, after = (root_centred_error_m(motion, dancer).mean() for motion in (seen, found.positions_m))
     assert after < before + 0.005
     assert jitter_m(found.positions_m) < jitter_m(dancer) + 0.002
-    # The feet say how the body moved, so its way comes nearer to the truth.
-    off = [np.diff(mid_hip(one) - mid_hip(dancer), axis=0) for one in (seen, found.positions_m)]
+    # The feet show how the body moved, so its path comes nearer to the truth.
+    off = [np.diff(mid_hip(motion) - mid_hip(dancer), axis=0) for motion in (seen, found.positions_m)]
     assert np.abs(off[1]).mean() < 0.7 * np.abs(off[0]).mean()
 
 
@@ -63,14 +63,14 @@ def test_a_motion_that_is_right_stays_as_it_is(dancer: np.ndarray) -> None:
 
 
 def test_feet_that_seem_to_creep_for_seconds_do_not_take_the_body_along(dancer: np.ndarray) -> None:
-    # Errors of poses last: legs that are told 6 cm too far back, then too far forward, under a body in its place.
+    # Errors of poses last: legs are 6 cm too far back, then too far forward, under a body that is in place.
     seen, legs = dancer.copy(), [joint for leg in OP14.legs for joint in leg[1:]]
     seen[:, legs, 2] += 0.06 * np.sin(2.0 * np.pi * np.arange(len(seen)) / 150.0)[:, None]
     off = mid_hip(clean_up(seen, rate_hz=30.0).positions_m) - mid_hip(dancer)
     assert np.hypot(off[:, 0], off[:, 2]).mean() < 0.015
 
 
-def test_without_contact_the_way_is_not_touched(dancer: np.ndarray) -> None:
+def test_without_contact_the_path_is_unchanged(dancer: np.ndarray) -> None:
     flying = dancer + np.linspace(0, 30.0, len(dancer))[:, None, None]
     found = clean_up(flying, rate_hz=30.0)
     assert not found.is_planted.any()
@@ -82,7 +82,7 @@ def lift() -> np.ndarray:
     return duet_couple("lift", duration_s=10.0)
 
 
-def test_who_is_held_up_stays_up_and_where_the_partner_holds_them() -> None:
+def test_a_person_held_up_stays_up_and_where_the_partner_holds_them() -> None:
     true = lift()
     seen = np.stack([gliding(true[:, person], seed=person) for person in (0, 1)], axis=1)
     found = clean_up(seen, rate_hz=30.0)
@@ -91,7 +91,7 @@ def test_who_is_held_up_stays_up_and_where_the_partner_holds_them() -> None:
     assert found.is_planted[up, 0].any(axis=-1).mean() > 0.7
     above = (found.positions_m - true)[up, 1][:, ANKLES, 1] - found.floor_m + 0.07
     assert np.abs(above).mean() < 0.06
-    place, before = (np.diff(mid_hip(one), axis=1)[:, 0] for one in (found.positions_m, seen))
+    place, before = (np.diff(mid_hip(motion), axis=1)[:, 0] for motion in (found.positions_m, seen))
     # The path of one is corrected with that of the other.
     assert np.abs(place - before)[up].max() < 0.03
     assert np.abs(found.shift_m[up, 1]).max() > 0.05
@@ -100,13 +100,13 @@ def test_who_is_held_up_stays_up_and_where_the_partner_holds_them() -> None:
 def test_people_apart_are_cleaned_up_as_if_each_were_alone(dancer: np.ndarray) -> None:
     seen = [gliding(dancer, seed) + np.array([4.0 * seed, 0.0, 0.0]) for seed in (0, 1)]
     together = clean_up(np.stack(seen, axis=1), rate_hz=30.0)
-    for person, one in enumerate(seen):
-        alone = clean_up(one, rate_hz=30.0)
+    for person, motion in enumerate(seen):
+        alone = clean_up(motion, rate_hz=30.0)
         np.testing.assert_array_equal(together.is_planted[:, person], alone.is_planted)
         np.testing.assert_allclose(together.shift_m[:, person, [0, 2]], alone.shift_m[:, [0, 2]], atol=1e-9)
 
 
-def test_who_comes_later_counts_only_then(dancer: np.ndarray) -> None:
+def test_a_person_who_comes_later_counts_only_then(dancer: np.ndarray) -> None:
     seen = np.stack([dancer, dancer + np.array([1.5, -0.4, 0.0])], axis=1)
     there = np.ones((len(dancer), 2), dtype=bool)
     there[:, 1] = False

@@ -32,16 +32,13 @@ from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset
 from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track, tracks_of
 from pasdedeux.skeletons import OP14
-from tests.builders.walkers import random_poses, walk
+from tests.builders.walkers import database_of, random_poses, walk
 
 FOCAL_PX = 0.72 * 1920
 
 
 def make_searcher(pitch_rad: float = 0.0) -> Searcher:
-    motions = [walk(150, seed=seed) for seed in range(6)]
-    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
-    starts = np.tile(np.arange(150) == 0, 6)
-    return Searcher.of(Database(poses, starts, camera=DatabaseCamera(pitch_rad)))
+    return Searcher.of(database_of([walk(150, seed=seed) for seed in range(6)], camera=DatabaseCamera(pitch_rad)))
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +63,13 @@ def test_a_new_walk_is_reconstructed_near_the_truth_in_place_and_size(searcher: 
     world = walk(80, seed=11)
     track, truth = film(world, yaw=yaw)
     found = {method: reconstruct_track(searcher, track, method) for method in searcher.methods}
-    for one in found.values():
-        assert root_centred_error_m(one.positions_m, truth).mean() < 0.09
-        assert np.linalg.norm(one.root_m - mid_hip(truth), axis=-1).mean() < 0.25
-        lengths = bone_lengths(OP14, one.positions_m)
+    for person in found.values():
+        assert root_centred_error_m(person.positions_m, truth).mean() < 0.09
+        assert np.linalg.norm(person.root_m - mid_hip(truth), axis=-1).mean() < 0.25
+        lengths = bone_lengths(OP14, person.positions_m)
         np.testing.assert_allclose(lengths, np.broadcast_to(lengths[0], (80, 14)), atol=1e-9)
         np.testing.assert_allclose(lengths[0].sum(), REFERENCE_LENGTHS_M.sum())
-    jitters = {method: jitter_m(one.positions_m - one.root_m[:, None]) for method, one in found.items()}
+    jitters = {method: jitter_m(person.positions_m - person.root_m[:, None]) for method, person in found.items()}
     assert jitters[Method.VITERBI] < 0.5 * jitters[Method.NEAREST]
 
 
@@ -103,7 +100,7 @@ def test_the_pitch_of_the_camera_is_found() -> None:
         assert root_centred_error_m(found.positions_m, truth).mean() < 0.09
 
 
-def test_a_camera_that_looks_up_is_told_from_a_level_one() -> None:
+def test_a_camera_that_looks_up_is_distinguished_from_a_level_one() -> None:
     searchers = [make_searcher(pitch) for pitch in (-0.524, -0.175, 0.0, 0.35)]
     for true_pitch in (-0.48, -0.35, -0.12, 0.0):
         track, _ = film(walk(60, seed=3), pitch=true_pitch)
@@ -111,7 +108,7 @@ def test_a_camera_that_looks_up_is_told_from_a_level_one() -> None:
 
 
 @pytest.mark.parametrize(("bow_rad", "true_pitch"), [(0.1, 0.35), (0.15, 0.175), (-0.1, 0.35)])
-def test_a_flat_floor_tells_the_pitch_where_the_database_leans(
+def test_a_flat_floor_gives_the_pitch_where_the_database_leans(
     bow_rad: float, true_pitch: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # An upright person looks like one who bows, or leans back, before a camera of another pitch.
@@ -133,7 +130,7 @@ def test_a_flat_floor_tells_the_pitch_where_the_database_leans(
     assert nearest_pitch() != true_pitch
 
 
-def test_level_hips_tell_the_pitch_where_somebody_bows_who_does_not_in_the_database() -> None:
+def test_level_hips_give_the_pitch_of_a_bowing_person_where_nobody_bows_in_the_database() -> None:
     bow = rotmat_from_unitquat(unitquat_from_rotvec(np.array([0.3, 0.0, 0.0])))
     world = walk(120, seed=9, turn_rad=3.0)
     heading = yaw_rotmat(3.0 * np.arange(120) / 119)
@@ -144,7 +141,7 @@ def test_level_hips_tell_the_pitch_where_somebody_bows_who_does_not_in_the_datab
     assert abs(choose_pitch(searchers, [track]).pitch_rad - 0.1) < np.deg2rad(4.0)
 
 
-def test_who_lies_says_little_of_the_pitch_and_without_anybody_else_it_is_a_guess_between_level_and_steep() -> None:
+def test_a_lying_person_says_little_about_the_pitch_which_alone_is_a_guess_between_level_and_steep() -> None:
     searchers = [make_searcher(pitch) for pitch in (0.0, 0.35, 0.7)]
     standing, _ = film(walk(60, seed=3), pitch=0.35)
     lying, _ = film(walk(60, seed=4) @ yaw_rotmat(0.4)[:, [0, 2, 1]], pitch=0.35)
@@ -152,20 +149,20 @@ def test_who_lies_says_little_of_the_pitch_and_without_anybody_else_it_is_a_gues
     assert alone.is_guess
     assert 0.0 < alone.pitch_rad < np.deg2rad(30.0)
     assert alone.deviation_rad > np.deg2rad(8.0)
-    both, one = choose_pitch(searchers, [standing, lying]), choose_pitch(searchers, [standing])
-    assert both.pitch_rad == pytest.approx(one.pitch_rad, abs=np.deg2rad(1.5))
+    both, without_lying = choose_pitch(searchers, [standing, lying]), choose_pitch(searchers, [standing])
+    assert both.pitch_rad == pytest.approx(without_lying.pitch_rad, abs=np.deg2rad(1.5))
     assert not both.is_guess
 
 
-def test_who_lies_is_found_among_upright_poses_laid_down_and_told_by_their_rows() -> None:
+def test_a_lying_person_is_found_among_upright_poses_laid_down_and_named_by_their_rows() -> None:
     searcher, world = make_searcher(0.5), walk(48, seed=11, turn_rad=0.0)
     hips = mid_hip(world)[:, None]
     track, truth = film(hips[:1] + (world - hips) @ ON_BELLY.T, yaw=1.1, pitch=0.5)
-    (made,) = reconstruct_people(searcher, [track], SequenceOptions(has_clean_up=False)).methods
+    (method,) = reconstruct_people(searcher, [track], SequenceOptions(has_clean_up=False)).methods
     upright = reconstruct_track(searcher, track, Method.FIT)
     assert root_centred_error_m(upright.positions_m, truth).mean() > 0.2
-    assert root_centred_error_m(made.people[0].positions_m, truth).mean() < 0.07
-    assert made.people[0].row.max() < searcher.database.num_rows
+    assert root_centred_error_m(method.people[0].positions_m, truth).mean() < 0.07
+    assert method.people[0].row.max() < searcher.database.num_rows
     assert not is_on_floor(film(world, yaw=1.1, pitch=0.5)[0])
     assert is_on_floor(track)
     legs = OP14.indices(["left_ankle", "right_ankle"])
@@ -173,7 +170,7 @@ def test_who_lies_is_found_among_upright_poses_laid_down_and_told_by_their_rows(
     assert not is_on_floor(replace(track, confidence=close))
 
 
-def test_nobody_is_laid_on_a_back_that_does_not_bear() -> None:
+def test_poses_are_laid_only_on_a_back_that_bears() -> None:
     stretched = random_poses(np.random.default_rng(0), 1, spread=0.0)
     kneeling = stretched.copy()
     kneeling[:, OP14.indices(["left_ankle", "right_ankle"])] += [0.0, 0.3, -0.3]
@@ -189,7 +186,7 @@ def test_nobody_is_laid_on_a_back_that_does_not_bear() -> None:
 
 @pytest.mark.parametrize(("torso", "shoulders"), [(1.08, 0.75), (0.9, 1.3)])
 def test_joints_missing_at_random_do_not_move_the_pitch(torso: float, shoulders: float) -> None:
-    # Of another build than the database's, as people are; the neck, which the image hangs on, is missed as all others.
+    # The person has another build than the database; the neck, which anchors the image, is missing as often as others.
     searchers = [make_searcher(pitch) for pitch in (0.175, 0.35, 0.525)]
     build = np.ones(14)
     build[OP14.indices(["left_hip", "right_hip"])] = torso
@@ -203,25 +200,23 @@ def test_joints_missing_at_random_do_not_move_the_pitch(torso: float, shoulders:
         assert abs(choose_pitch(searchers, [partly]).pitch_rad - whole.pitch_rad) < np.deg2rad(1.25)
 
 
-def test_missing_joints_cost_little_and_empty_frames_are_bridged_and_marked(searcher: Searcher) -> None:
-    world = walk(80, seed=11)
-    track, truth = film(world)
-    rng = np.random.default_rng(0)
-    hidden = rng.uniform(size=(80, 14)) < 0.3
+@pytest.mark.parametrize("method", [Method.VITERBI, Method.FIT])
+def test_missing_joints_cost_little_and_empty_frames_are_bridged_and_marked(searcher: Searcher, method: Method) -> None:
+    track, truth = film(walk(80, seed=11))
+    hidden = np.random.default_rng(0).uniform(size=(80, 14)) < 0.3
     hidden[30:36] = True
-    confidence = np.where(hidden, 0.0, 1.0)
     points = np.where(hidden[..., None], np.nan, track.keypoints_px)
-    found = reconstruct_track(searcher, Track(points, confidence, 24.0, track.lens))
+    found = reconstruct_track(searcher, Track(points, ~hidden * 1.0, 24.0, track.lens), method)
     assert found.is_bridged[30:36].all()
     assert (found.num_joints_seen[30:36] == 0).all()
     assert np.isnan(found.score_m[30:36]).all()
     assert (found.row[30:36] == -1).all()
-    full = root_centred_error_m(reconstruct_track(searcher, track).positions_m, truth).mean()
+    full = root_centred_error_m(reconstruct_track(searcher, track, method).positions_m, truth).mean()
     assert root_centred_error_m(found.positions_m, truth).mean() < full + 0.04
     assert np.isfinite(found.positions_m).all()
 
 
-def test_a_track_without_a_person_is_refused_in_words(searcher: Searcher) -> None:
+def test_a_track_without_a_person_is_refused_with_the_reason(searcher: Searcher) -> None:
     empty = Track(np.full((5, 14, 2), np.nan), np.ones((5, 14)), 24.0, Lens(1000.0, (500.0, 500.0)))
     with pytest.raises(InputError, match="no frame of the track shows 4 joints"):
         match_track(searcher, empty)
@@ -231,7 +226,7 @@ def test_a_track_without_a_person_is_refused_in_words(searcher: Searcher) -> Non
         match_track(searcher, Track(wrists, np.ones((5, 14)), 24.0, Lens(1000.0, (500.0, 500.0))))
 
 
-def test_tracks_refuse_what_they_cannot_mean() -> None:
+def test_tracks_refuse_impossible_values() -> None:
     lens = Lens(1000.0, (0.0, 0.0))
     with pytest.raises(InputError, match="expected"):
         Track(np.zeros((3, 17, 2)), np.zeros((3, 17)), 24.0, lens)
@@ -270,7 +265,7 @@ def test_tracks_keep_gaps_and_people_apart() -> None:
         "focal_px": [None] * 4,
     }
     tracks = tracks_of(columns, "walk")
-    assert [one.person_id for one in tracks] == [0, 5]
+    assert [track.person_id for track in tracks] == [0, 5]
     assert tracks[0].frames.tolist() == [3, 4, 5, 6, 7]
     assert tracks[0].rate_hz == pytest.approx(25.0)
     np.testing.assert_allclose(tracks[0].times_s, np.arange(3, 8) / 25.0)
@@ -300,15 +295,20 @@ def test_running_medians_skip_what_is_unknown() -> None:
         running_median(np.full(3, np.nan), 3)
 
 
-def test_error_measures_forget_what_they_say_they_forget() -> None:
+def test_error_measures_ignore_what_they_state() -> None:
     world = walk(30)
     moved = world @ yaw_rotmat(0.8).T + np.array([1.0, 2.0, 3.0])
     assert root_centred_error_m(world + 5.0, world).max() < 1e-12
     assert root_centred_error_m(moved, world).mean() > 0.1
     assert root_removed_error_m(moved, world).max() < 1e-9
     assert scale_free_error_m(1.3 * world, world).max() < 1e-9
-    assert jitter_m(np.arange(9.0)[:, None, None] * np.ones((1, 14, 3))) == pytest.approx(0.0, abs=1e-12)
-    assert jitter_m(world[:2]) == 0.0
+
+
+def test_jitter_is_the_mean_length_of_second_differences_over_joints_and_frames() -> None:
+    pull_m = np.random.default_rng(0).normal(size=(14, 3))
+    thrown = 0.5 * np.arange(6.0)[:, None, None] ** 2 * pull_m + np.arange(6.0)[:, None, None]
+    assert jitter_m(thrown) == pytest.approx(np.linalg.norm(pull_m, axis=1).mean())
+    assert jitter_m(thrown[:2]) == 0.0
 
 
 def test_feet_slide_where_they_stand_in_the_truth_alone() -> None:

@@ -61,7 +61,7 @@ def test_viterbi_finds_the_cheapest_of_all_paths(seed: int) -> None:
 def smooth_live(unitquat: np.ndarray) -> np.ndarray:
     """Every frame as the 1-euro filter gives it."""
     live = OneEuroFilter(OneEuro(), 24.0)
-    return np.array([live.step(frame, one) for frame, one in enumerate(unitquat)]).reshape(unitquat.shape)
+    return np.array([live.step(frame, turns) for frame, turns in enumerate(unitquat)]).reshape(unitquat.shape)
 
 
 def toy_search(num_frames: int = 40) -> tuple[Database, Neighbours]:
@@ -98,7 +98,7 @@ def plain_window(database: Database, neighbours: Neighbours, *, window: int = 4)
 
 def test_the_window_rule_agrees_with_its_plain_form() -> None:
     motions = [walk(12, seed=seed) for seed in range(3)]
-    # Neither do all poses face one way, nor is everybody seen from one: only so does the sense of turning matter.
+    # Poses face, and are seen from, several directions: only then does the direction of turning matter.
     poses = np.concatenate([motion - mid_hip(motion)[:, None] for motion in motions])
     database = Database(poses, np.tile(np.arange(12) == 0, 3))
     yaw = 3 * np.arange(12) % 30
@@ -170,7 +170,7 @@ def test_a_steady_turn_passes_savitzky_golay_unchanged_and_noise_shrinks() -> No
 
 
 def test_the_one_euro_filter_of_points_lags_more_at_a_lower_cutoff() -> None:
-    slow, fast = (OneEuroFilter(OneEuro(min_cutoff_hz=one), 24.0) for one in (0.5, 5.0))
+    slow, fast = (OneEuroFilter(OneEuro(min_cutoff_hz=cutoff_hz), 24.0) for cutoff_hz in (0.5, 5.0))
     for frame in range(6):
         step = np.full((1, 3), 1.0 if frame else 0.0)
         low, high = slow.step(frame, step), fast.step(frame, step)

@@ -1,4 +1,4 @@
-"""The published search: clusters partition the database, and it finds part of what looking at everything finds."""
+"""The published search: clusters partition the database, and results are part of those of a full search."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.published import (
     BOX_HEIGHT_M,
@@ -16,21 +17,19 @@ from pasdedeux.projections.published import (
     place_projections,
     scale_to_box,
 )
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.reconstruction.matching import Method, Searcher
 from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
-from tests.builders.walkers import walk
+from tests.builders.walkers import database_of, walk
 
 NUM_CLUSTERS = 40
 
 
 @pytest.fixture(scope="module")
 def database() -> Database:
-    motions = [walk(60, seed=seed) for seed in range(3)]
-    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
-    return Database(poses, np.tile(np.arange(60) == 0, 3))
+    return database_of([walk(60, seed=seed) for seed in range(3)])
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +39,7 @@ def clusters(database: Database) -> Clusters:
 
 def queries(num_frames: int, *, seed: int) -> np.ndarray:
     image = walk(num_frames, seed=seed)[..., :2]
-    return np.asarray(image - 0.5 * (image[:, [8]] + image[:, [11]]))
+    return np.asarray(image - mid_hip(image)[:, None])
 
 
 def distances_to_all(database: Database, query: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -60,13 +59,13 @@ def test_every_projection_is_in_one_cluster_whose_representative_is_a_member(
 ) -> None:
     assert sorted(np.concatenate(clusters.members).tolist()) == list(range(database.num_projections))
     assert 0.9 * NUM_CLUSTERS <= len(clusters.members) <= NUM_CLUSTERS
-    assert all(one in own for one, own in zip(clusters.representative, clusters.members, strict=True))
+    assert all(row in rows for row, rows in zip(clusters.representative, clusters.members, strict=True))
     again = cluster_projections(database, NUM_CLUSTERS, np.random.default_rng(0))
     assert np.array_equal(again.representative, clusters.representative)
-    assert all(np.array_equal(one, other) for one, other in zip(again.members, clusters.members, strict=True))
+    assert all(map(np.array_equal, again.members, clusters.members))
 
 
-def test_places_keep_the_distances_of_points_of_a_line() -> None:
+def test_places_keep_the_distances_of_points_on_a_line() -> None:
     x = np.random.default_rng(0).uniform(-1.0, 1.0, 400).astype(np.float32)
     images = np.stack([np.repeat(x[:, None], 14, axis=1), np.zeros((400, 14), dtype=np.float32)], axis=-1)
     places = place_projections(images, np.random.default_rng(1))
@@ -78,10 +77,10 @@ def test_equal_projections_and_more_clusters_than_projections_leave_no_empty_clu
     places = np.repeat(np.random.default_rng(0).normal(size=(3, 4)), 20, axis=0)
     found = cluster_places(places, 100, np.random.default_rng(0))
     assert sorted(np.concatenate(found.members).tolist()) == list(range(60))
-    assert all(len(own) for own in found.members)
+    assert all(len(members) for members in found.members)
 
 
-def test_it_gives_ten_of_each_of_five_clusters_best_first_at_their_true_distances(
+def test_the_search_gives_ten_of_each_of_five_clusters_best_first_at_their_true_distances(
     database: Database, clusters: Clusters
 ) -> None:
     query, weights = queries(40, seed=11), np.ones((40, 14))
@@ -139,14 +138,10 @@ def track_of(world: np.ndarray) -> Track:
 def test_the_method_reconstructs_a_new_walk_on_the_databases_own_body(database: Database, clusters: Clusters) -> None:
     searcher, world = Searcher.of(database, clusters), 0.9 * walk(60, seed=11)
     assert searcher.pitched(0.2).methods == searcher.methods == tuple(Method)
-    made = reconstruct_track(searcher, track_of(world), Method.PUBLISHED)
-    lengths = [
-        np.linalg.norm(made.positions_m[:, child] - made.positions_m[:, parent], axis=-1)
-        for parent, child in OP14.bones
-    ]
-    expected = REFERENCE_LENGTHS_M[[child for _, child in OP14.bones]]
-    np.testing.assert_allclose(np.array(lengths), np.broadcast_to(expected[:, None], (len(lengths), 60)), atol=1e-6)
-    centred = made.positions_m - 0.5 * (made.positions_m[:, [8]] + made.positions_m[:, [11]])
-    truth = (world - 0.5 * (world[:, [8]] + world[:, [11]])) / 0.9
+    track = reconstruct_track(searcher, track_of(world), Method.PUBLISHED)
+    lengths = bone_lengths(OP14, track.positions_m)
+    np.testing.assert_allclose(lengths, np.broadcast_to(REFERENCE_LENGTHS_M, lengths.shape), atol=1e-6)
+    centred = track.positions_m - mid_hip(track.positions_m)[:, None]
+    truth = (world - mid_hip(world)[:, None]) / 0.9
     still = np.linalg.norm(truth - truth.mean(axis=0), axis=-1).mean()
     assert np.linalg.norm(centred - truth, axis=-1).mean() < 0.8 * still

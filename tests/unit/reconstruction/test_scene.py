@@ -1,4 +1,4 @@
-"""Camera, sizes and places of all people are one estimate: floor, contacts and sizes together tell where people are."""
+"""Camera, sizes and places of all people are estimated together from floor, contacts and sizes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PITCH_RAD, DISTANCE_M, HEAD_M = 0.26, 4.0, 0.11
 def seen_and_true(
     name: str, *, is_upside_down: bool = False, pitch_rad: float = PITCH_RAD
 ) -> tuple[list[ReconstructedTrack], np.ndarray, float]:
-    """Return a duet with its own poses as a camera sees it, how far away as a search errs, truth, camera's height."""
+    """Return a duet as a camera sees it, with true poses and wrong distances, the truth, and the camera's height."""
     world = duet_couple(name, duration_s=8.0, rate_hz=STRIDE * RATE_HZ)
     if is_upside_down:
         middle = mid_hip(world[:, 1])[:, None]
@@ -64,7 +64,7 @@ def seen_and_true(
 def solved(people: list[ReconstructedTrack], guess_deg: float = 18.0, **known: Any) -> tuple[SceneEstimate, np.ndarray]:
     guess = PitchEstimate(np.deg2rad(guess_deg), np.deg2rad(5.0))
     scene = estimate_scene(people, guess, **known)
-    return scene, np.stack([scene.placed(n, one).positions_m for n, one in enumerate(people)], axis=1)
+    return scene, np.stack([scene.placed(n, person).positions_m for n, person in enumerate(people)], axis=1)
 
 
 @cache
@@ -73,8 +73,16 @@ def solved_duet(name: str) -> tuple[SceneEstimate, np.ndarray]:
 
 
 def place_error(found: np.ndarray, truth: np.ndarray) -> float:
-    between = [np.diff(mid_hip(one), axis=1)[:, 0] for one in (found, truth)]
+    between = [np.diff(mid_hip(motion), axis=1)[:, 0] for motion in (found, truth)]
     return float(np.median(np.linalg.norm(between[0] - between[1], axis=-1)))
+
+
+def lifted(people: list[ReconstructedTrack]) -> list[ReconstructedTrack]:
+    """Return the part of a lift in which one is off the floor."""
+    return [
+        reconstruction(person.positions_m[LIFTED], rate_hz=RATE_HZ, person_id=number)
+        for number, person in enumerate(people)
+    ]
 
 
 @cache
@@ -109,21 +117,21 @@ def test_the_jacobian_of_each_term_is_that_of_finite_differences(carried: tuple[
 @pytest.mark.parametrize("name", ["lift", "hug", "waltz"])
 def test_one_floor_and_sizes_of_people_put_both_in_their_place_to_each_other(name: str) -> None:
     people, truth, _ = seen_and_true(name)
-    thought = np.stack([one.positions_m for one in people], axis=1)
+    thought = np.stack([person.positions_m for person in people], axis=1)
     scene, found = solved_duet(name)
     assert place_error(thought, truth) > 0.2
     assert place_error(found, truth) < min(0.12, 2.0 * scene.place_deviation_m[0, 1])
     assert np.rad2deg(abs(scene.pitch_rad - PITCH_RAD)) < 6.0
     assert 0.1 < np.rad2deg(scene.pitch_deviation_rad) < 5.0
-    # Poses are kept, at one size a person.
-    for number, one in enumerate(people):
-        before, after = (p - mid_hip(p)[:, None] for p in (one.positions_m, found[:, number]))
+    # Poses are kept, with one size for each person.
+    for number, person in enumerate(people):
+        before, after = (p - mid_hip(p)[:, None] for p in (person.positions_m, found[:, number]))
         np.testing.assert_allclose(
             np.linalg.norm(after, axis=-1), scene.sizes[number] * np.linalg.norm(before, axis=-1), atol=1e-9
         )
 
 
-def test_a_hand_before_the_image_of_who_stands_farther_away_makes_no_place_well_known() -> None:
+def test_a_hand_in_front_of_a_person_farther_away_makes_no_place_well_known() -> None:
     world = duet_couple("hug", duration_s=6.0, rate_hz=RATE_HZ)
     camera = look_at_camera(
         mid_hip(world).mean(axis=(0, 1)), distance_m=6.0, yaw_rad=2.0, pitch_rad=0.0, focal_px=1400.0
@@ -131,16 +139,16 @@ def test_a_hand_before_the_image_of_who_stands_farther_away_makes_no_place_well_
     truth = (world - camera.position_m) @ camera.camera_from_world_rotmat.T
     for behind_m in (0.0, 1.5):
         truth[:, 1, :, 2] -= behind_m
-        # The lens is not known, and a fifth longer than the assumed.
+        # The lens is not known, and 20 % longer than the assumed one.
         seen = truth - (1.0 - 1.0 / 1.2) * mid_hip(truth)[:, :, None]
         people = [reconstruction(seen[:, n], rate_hz=RATE_HZ, person_id=n) for n in (0, 1)]
         scene, found = solved(people, 0.0)
         assert place_error(found, truth) < 2.0 * scene.place_deviation_m[0, 1]
-    # How large both look sets them apart, the hands draw them together, and it can be either.
+    # Apparent sizes set them apart, the hands draw them together, and both are possible.
     assert place_error(found, truth) > 1.0
 
 
-def test_who_is_held_up_is_not_put_on_the_floor() -> None:
+def test_a_person_held_up_is_not_put_on_the_floor() -> None:
     scene, found = solved_duet("lift")
     up = np.array([0.0, np.cos(scene.pitch_rad), np.sin(scene.pitch_rad)])
     height = (found[:, :, ANKLES] @ up).min(axis=2) + scene.camera_height_m
@@ -148,9 +156,9 @@ def test_who_is_held_up_is_not_put_on_the_floor() -> None:
     assert np.abs(height[:, 0] - 0.07).max() < 0.12
 
 
-def test_who_is_carried_all_the_time_is_held_to_who_carries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_person_carried_all_the_time_is_held_to_the_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
     people, truth, _ = seen_and_true("lift")
-    carried = [reconstruction(one.positions_m[LIFTED], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
+    carried = lifted(people)
     found, placed = solved(carried)
     up = np.array([0.0, np.cos(found.pitch_rad), np.sin(found.pitch_rad)])
     height = (placed[:, :, ANKLES] @ up).min(axis=2) + found.camera_height_m
@@ -160,25 +168,25 @@ def test_who_is_carried_all_the_time_is_held_to_who_carries(monkeypatch: pytest.
     assert place_error(solved(carried)[1], truth[LIFTED]) > 0.05
 
 
-def test_of_two_who_may_be_carried_it_is_who_explains_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_two_candidates_the_one_who_explains_more_is_carried(monkeypatch: pytest.MonkeyPatch) -> None:
     people, _, _ = seen_and_true("lift")
-    carried = [reconstruction(one.positions_m[LIFTED], rate_hz=RATE_HZ, person_id=n) for n, one in enumerate(people)]
+    carried = lifted(people)
     right, _ = solved(carried)
-    costs, solve = {None: 40.0, 0: 20.0, 1: 10.0}, estimate.solve
+    costs, solve = {None: 40.0, 0: 20.0, 1: 10.0}, estimate.solve_scene
 
-    def costing(terms: list[SceneTerm], *told: Any, **how: Any) -> Solution:
+    def costing(terms: list[SceneTerm], *given: Any, **how: Any) -> Solution:
         off_floor = [term.person for term in terms if isinstance(term, FloorTerm) and term.is_carried]
-        return replace(solve(terms, *told, **how), cost=costs[off_floor[0] if off_floor else None])
+        return replace(solve(terms, *given, **how), cost=costs[off_floor[0] if off_floor else None])
 
-    monkeypatch.setattr(estimate, "solve", costing)
+    monkeypatch.setattr(estimate, "solve_scene", costing)
     found, _ = solved(carried)
     assert found.camera_height_m == right.camera_height_m
 
 
-def test_any_part_that_is_lowest_bears_who_has_no_foot_on_the_floor() -> None:
+def test_the_lowest_part_bears_a_person_without_a_foot_on_the_floor() -> None:
     people, truth, _ = seen_and_true("waltz", is_upside_down=True)
     _, found = solved(people)
-    thought = np.stack([one.positions_m for one in people], axis=1)
+    thought = np.stack([person.positions_m for person in people], axis=1)
     assert place_error(thought, truth) > 0.2
     assert place_error(found, truth) < 0.16
 
@@ -188,16 +196,15 @@ def test_a_known_height_of_the_camera_and_known_statures_give_sizes() -> None:
     scene, _ = solved(people, camera_height_m=height_m)
     assert scene.camera_height_m == pytest.approx(height_m, rel=0.03)
     _, found = solved(people, statures_m={0: 1.82, 1: 1.65})
-    lengths = [
-        np.linalg.norm(np.diff(one[:, OP14.legs[0][1:]], axis=1), axis=-1).mean() for one in (found[:, 0], truth[:, 0])
-    ]
-    assert lengths[0] / lengths[1] == pytest.approx(1.0, abs=0.04)
+    shins = (np.diff(motion[:, 0, OP14.legs[0][1:]], axis=1) for motion in (found, truth))
+    length_m, true_length_m = (np.linalg.norm(shin, axis=-1).mean() for shin in shins)
+    assert length_m / true_length_m == pytest.approx(1.0, abs=0.04)
 
 
 def test_a_camera_that_looks_up_from_below_the_floor_is_found_there() -> None:
     people, truth, height_m = seen_and_true("waltz", pitch_rad=-0.45)
     assert height_m < -0.5
-    # By the second pitch the feet are below the camera, and above it by one that is a deviation off.
+    # The second pitch puts the feet below the camera; a pitch one deviation off puts them above it.
     for guess_deg in (-24.0, -10.0):
         scene, found = solved(people, guess_deg)
         assert scene.camera_height_m == pytest.approx(height_m, abs=0.2)

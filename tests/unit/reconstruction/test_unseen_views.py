@@ -1,4 +1,4 @@
-"""The paper's own table: held-out motion by parallel rays; and the size that a camera of known height gives."""
+"""Reconstruction of held-out motion from unseen views, and sizes from a known height of the camera."""
 
 from __future__ import annotations
 
@@ -9,38 +9,30 @@ import pytest
 
 from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, PERSON_HEIGHT_PX, look_at_camera
 from pasdedeux.evaluation.motion_players import reconstruction_player, turn_to_camera
-from pasdedeux.projections.database import Database
-from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction import unseen_views
 from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.matching import Method, Searcher, match_track
 from pasdedeux.reconstruction.reconstruct import reconstruct_track
 from pasdedeux.reconstruction.sizes import sized_by_height
 from pasdedeux.reconstruction.tracks import Lens, Track
-from pasdedeux.reconstruction.unseen_views import (
-    Condition,
-    UnseenMotion,
-    ViewedMotion,
-    best_candidates,
-)
+from pasdedeux.reconstruction.unseen_views import Condition, UnseenMotion, ViewedMotion, best_candidates
 from pasdedeux.skeletons import OP14
 from tasks.evaluation.unseen_views import unseen_view_scores
-from tests.builders.walkers import walk
+from tests.builders.walkers import database_of, walk
 
 
 @pytest.fixture(scope="module")
 def searcher() -> Searcher:
-    motions = [walk(100, seed=seed) for seed in range(4)]
-    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
-    return Searcher.of(Database(poses, np.tile(np.arange(100) == 0, 4)))
+    return Searcher.of(database_of([walk(100, seed=seed) for seed in range(4)]))
 
 
 def moved(world: np.ndarray, *yaws_deg: float) -> UnseenMotion:
     return UnseenMotion("walk", world, 24.0, yaws_deg)
 
 
-def see(world: np.ndarray, condition: Condition, *, yaw_deg: float = 0.0, seed: int | list[int] = 0) -> ViewedMotion:
-    return unseen_views.see(moved(world), condition, yaw_deg, np.random.default_rng(seed))
+def see(world: np.ndarray, condition: Condition, *, yaw_deg: float = 0.0) -> ViewedMotion:
+    return unseen_views.see(moved(world), condition, yaw_deg, np.random.default_rng(0))
 
 
 def before_a_pinhole(world: np.ndarray) -> ViewedMotion:
@@ -56,10 +48,9 @@ def before_a_pinhole(world: np.ndarray) -> ViewedMotion:
 
 
 def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(searcher: Searcher) -> None:
+    motion = moved(walk(40, seed=11), 0.0, 75.0)
     for condition in (Condition("clean"), Condition("noisy", noise=0.03)):
-        scores, items = unseen_view_scores(
-            searcher, moved(walk(40, seed=11), 0.0, 75.0), condition, np.random.default_rng
-        )
+        scores, items = unseen_view_scores(searcher, motion, condition, np.random.default_rng)
         assert all(np.isfinite(score.value) for score in scores)
         found = {(s.metric, s.method, s.item): s.value for s in scores}
         assert len(found) == len(scores)
@@ -88,11 +79,11 @@ def test_the_best_candidate_is_no_farther_than_any_other(searcher: Searcher) -> 
     found = match_track(searcher, seen.track)
     best = root_centred_error_m(best_candidates(searcher, found, seen.truth_m), seen.truth_m)
     for rank in range(0, 50, 7):
-        other = searcher.database.turned(found.neighbours.row[:, rank], found.yaw_steps[:, rank])
-        assert (best <= root_centred_error_m(other, seen.truth_m) + 1e-9).all()
+        candidate_m = searcher.database.turned(found.neighbours.row[:, rank], found.yaw_steps[:, rank])
+        assert (best <= root_centred_error_m(candidate_m, seen.truth_m) + 1e-9).all()
 
 
-def test_conditions_hide_and_shake_as_much_as_they_say() -> None:
+def test_conditions_have_the_stated_share_of_hidden_joints_and_noise() -> None:
     def seen(condition: Condition) -> np.ndarray:
         return see(world, condition).track.keypoints_px
 
@@ -121,16 +112,16 @@ def test_a_reconstruction_is_shown_beside_its_image_and_over_the_truth_with_its_
 
 
 def test_a_camera_of_known_height_gives_people_their_size(searcher: Searcher) -> None:
-    """The body is three quarters as large as the database's, which no pinhole sees."""
+    """The body is three quarters as large as the database's, which one camera cannot see."""
     world = 0.75 * walk(60, seed=9)
     world[..., 1] += 0.75 * 0.07 - world[:, OP14.indices(["left_ankle", "right_ankle"]), 1].min()
     seen = before_a_pinhole(world)
     found = reconstruct_track(searcher, seen.track, Method.FIT)
     height_m = float(mid_hip(world).mean(axis=0)[1])
     errors, distances = [], []
-    for made in (found, sized_by_height(found, searcher.database.camera, height_m)):
-        errors.append(root_centred_error_m(made.positions_m, seen.truth_m).mean())
-        distances.append(np.abs(mid_hip(made.positions_m)[:, 2] - mid_hip(seen.truth_m)[:, 2]).mean())
+    for track in (found, sized_by_height(found, searcher.database.camera, height_m)):
+        errors.append(root_centred_error_m(track.positions_m, seen.truth_m).mean())
+        distances.append(np.abs(mid_hip(track.positions_m)[:, 2] - mid_hip(seen.truth_m)[:, 2]).mean())
     assert errors[0] > 0.1
     assert errors[1] < 0.5 * errors[0]
     assert distances[1] < 0.25 * distances[0]
@@ -144,7 +135,7 @@ def test_a_height_that_cannot_be_true_changes_no_size(searcher: Searcher) -> Non
 
 
 def test_a_person_at_the_edge_of_the_image_is_shown_from_the_side_that_the_camera_sees() -> None:
-    """Somebody 45 degrees off the axis whose shoulders lie along the ray: the image has them in one place."""
+    """A person 45 degrees off the axis has the shoulders along the ray, so that they coincide in the image."""
     person = np.zeros((3, 1, 14, 3))
     person[..., 1] = np.linspace(-0.1, 0.1, 14)
     person[..., 2, :] = np.array([0.15, 0.0, -0.15])

@@ -65,14 +65,44 @@ def put_truth(store: Store, skeleton: str = "pair17_m") -> tuple[list[Manifest],
 
 
 def put_lifted(
-    store: Store, name: str, rows: Sequence[Mapping[str, Any]], *, table: str = "lifted_pairs", **more: Any
+    store: Store,
+    name: str,
+    rows: Sequence[Mapping[str, Any]],
+    *,
+    table: str = "lifted_pairs",
+    inputs: tuple[Manifest, ...] = (),
+    **more: Any,
 ) -> Manifest:
     columns = random_columns(table, len(rows)) | {key: [row[key] for row in rows] for key in rows[0]}
     columns["pair17_m"] = np.array(columns["pair17_m"])
     facts = {"kind": "lifted_pairs", "sequence_ids": [name], "purpose": None, "is_held_out": False, "num_draws": 1}
-    return put(
-        store, "lifting", f"{name} {table}", {table: columns}, facts | {"num_lifted": 1, "learned_takes": []} | more
-    )
+    facts |= {"num_lifted": 1, "learned_takes": []} | more
+    return put(store, "lifting", f"{name} {table}", {table: columns}, facts, inputs)
+
+
+def put_motions(
+    store: Store,
+    name: str,
+    motions_m: Mapping[str, np.ndarray],
+    *,
+    person_ids: Sequence[int] = (0, 1),
+    inputs: tuple[Manifest, ...] = (),
+    **facts: Any,
+) -> Manifest:
+    """Commit people (frame, person, 14, 3) as each method reconstructed them from a film of the held-out take."""
+    num_frames = len(next(iter(motions_m.values())))
+    frame = np.tile(np.repeat(np.arange(num_frames), len(person_ids)), len(motions_m))
+    columns = random_columns("motions", len(frame)) | {
+        "sequence_id": [name] * len(frame),
+        "method": np.repeat(list(motions_m), num_frames * len(person_ids)).tolist(),
+        "person_id": np.tile(person_ids, num_frames * len(motions_m)),
+        "frame": frame,
+        "time_s": frame / RATE_HZ,
+        "op14_m": np.concatenate([motion_m.reshape(-1, 14, 3) for motion_m in motions_m.values()]),
+        "is_bridged": [False] * len(frame),
+    }
+    facts = {"kind": "motions", "sequence_ids": [name], "sequence_takes": ["hidden"]} | facts
+    return put(store, "reconstruction", name, {"motions": columns}, facts, inputs)
 
 
 def lifted_row(

@@ -24,31 +24,25 @@ MARKUP = '"><script>alert(1)</script> & <b>'
 
 
 def page_of(store: Store, num_takes: int, **settings: object) -> tuple[Page, str, str]:
-    """Return the page of a run of the first stage alone, its text, and the card; makes what is not there."""
-    made = list(store.artifacts("ingest")) or [put_take(store, f"take{number:03d}") for number in range(num_takes)]
-    inputs = StageInputs(dict.fromkeys(("poses", "takes"), made), seed=1)
+    """Return the page, its text and the card of a run of the first stage alone; takes are made if there are none."""
+    takes = list(store.artifacts("ingest")) or [put_take(store, f"take{number:03d}") for number in range(num_takes)]
+    inputs = StageInputs(dict.fromkeys(("poses", "takes"), takes), seed=1)
     planned = [
         shard for shard in STAGE.plan(inputs, STAGE.parameters(**settings)) if shard.partition in ("takes", "report")
     ]
-    there = [store.find(shard.stage, shard.key) for shard in planned]
-    refs = [
-        STAGE.run_shard(one, store) if found is None else found.ref for one, found in zip(planned, there, strict=True)
-    ]
-    text = store.attachment(refs[-1], "report.html").decode()
-    return Page(text), text, store.attachment(refs[-1], "card.md").decode()
+    for shard in planned:
+        artifact = store.find(shard.stage, shard.key)
+        ref = STAGE.run_shard(shard, store) if artifact is None else artifact.ref
+    text = store.attachment(ref, "report.html").decode()
+    return Page(text), text, store.attachment(ref, "card.md").decode()
 
 
-def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_keys_ask_for_it(tmp_path: Path) -> None:
+def test_the_page_of_a_run_of_one_stage_names_the_sections_without_data(tmp_path: Path) -> None:
     page, text, card = page_of(Store(tmp_path), 1, title=MARKUP, description=MARKUP)
     assert (page.problems, page.outside, page.unnamed) == ([], [], [])
     assert page.headings[0] == (1, MARKUP)
-    assert [heading for _, heading in page.headings[1:]] == [
-        "What was built",
-        "Is it good?",
-        "Takes",
-        "Skipped, and why",
-        "Sources and licences",
-    ]
+    titles = ["What was built", "Is it good?", "Takes", "Skipped, and why", "Sources and licences"]
+    assert [heading for _, heading in page.headings[1:]] == titles
     assert "<script>alert" not in text
     assert "No data in this run: Film, Sequences, Views, Chains" in text
     assert "`" not in text.split("<script>")[0]
@@ -74,40 +68,32 @@ def test_a_page_of_30_takes_has_the_first_pictures_and_rows_and_names_what_lies_
     assert len(page.scenes) == 25, "the first one stands on top as well"
     assert "6 pictures lie beside the page: take-take024.player.json, " in text
     assert re.search(r"the first 20 of \d+ rows; the table <code>scores</code> has all", text)
-    beside = {name for one in store.artifacts("evaluation") for name in one.attachments}
+    beside = {name for artifact in store.artifacts("evaluation") for name in artifact.attachments}
     assert sum(name.endswith(".player.json") for name in beside) == 30
 
 
-def test_a_model_of_many_arrays_is_one_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("num_arrays", [0, 5])
+def test_a_model_of_any_number_of_arrays_is_one_model(tmp_path: Path, num_arrays: int) -> None:
     store = Store(tmp_path)
-    made = [put(store, "training", name, {"models": random_columns("models", 5)}, {}) for name in "ab"]
-    assert summary_of(made).built.startswith("2 models (")
-
-
-def test_a_model_without_arrays_counts_as_one(tmp_path: Path) -> None:
     facts = ModelFacts(
         split="random", model="copy", **{"class": "CopyModel"}, shares_takes=True, train={}, validation={}, test={}
     )
-    made = put(Store(tmp_path), "training", "copy", {"models": random_columns("models", 0)}, facts.to_json())
-    assert summary_of([made]).built.startswith("1 model (")
+    stored = [
+        put(store, "training", name, {"models": random_columns("models", num_arrays)}, facts.to_json()) for name in "ab"
+    ]
+    assert summary_of(stored).built.startswith("2 models (")
+    assert summary_of(stored[:1]).built.startswith("1 model (")
 
 
 @pytest.mark.parametrize(("num_takes", "words"), [(1, "take with variants"), (2, "takes with variants")])
 def test_takes_of_variants_are_counted_in_the_singular_where_there_is_one(
     tmp_path: Path, num_takes: int, words: str
 ) -> None:
-    facts = [VariantFacts(take_id=f"take{number}") for number in range(num_takes)]
-    made = [
-        put(
-            Store(tmp_path),
-            "augmentation",
-            one.take_id,
-            {"variant_quality": random_columns("variant_quality", 2)},
-            one.to_json(),
-        )
-        for one in facts
-    ]
-    assert [one.independent for one in summary_of(made).made] == [(num_takes, words)]
+    stored = []
+    for take_id in (f"take{number}" for number in range(num_takes)):
+        tables = {"variant_quality": random_columns("variant_quality", 2)}
+        stored.append(put(Store(tmp_path), "augmentation", take_id, tables, VariantFacts(take_id=take_id).to_json()))
+    assert [row.independent for row in summary_of(stored).made] == [(num_takes, words)]
 
 
 @pytest.mark.parametrize(

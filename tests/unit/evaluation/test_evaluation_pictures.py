@@ -118,8 +118,7 @@ def _curve(title: str) -> bytes:
 
 
 def test_a_figure_gives_the_same_svg_twice_and_its_text_stays_text() -> None:
-    drawn = {_curve("views of <all>") for _ in range(2)}
-    (svg,) = drawn
+    (svg,) = {_curve("views of <all>") for _ in range(2)}
     assert b"views of &lt;all&gt;" in svg
 
 
@@ -134,10 +133,8 @@ def _page() -> str:
     moving = pack_player(
         [people_panel("</script><b>", BODY22, _people(20, 2)), people_panel("b", BODY22, _people(20, 2))], rate_hz=10.0
     )
-    drawn = _curve("views")
-    pictures = [Picture(f"{n}.player.json", f"person {n} & <co>", moving) for n in range(5)] + [
-        Picture("v.svg", "views", drawn)
-    ]
+    pictures = [Picture(f"{n}.player.json", f"person {n} & <co>", moving) for n in range(5)]
+    pictures.append(Picture("v.svg", "views", _curve("views")))
     values = (10, 9, 1000, *range(2, 9), *range(11, 14))
     rows = tuple((f"row <{n}>", str(value)) for n, value in enumerate(values))
     tables = TextTable("<scores>", ("method", "value"), rows), TextTable("short", ("method", "value"), rows[:12])
@@ -234,9 +231,8 @@ def test_a_criterion_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
         for method, value in (("interaction_mesh", 0.01), ("naive_fk", 0.2), ("truth", 0.0))
         for item in ("a", "b")
     ]
-    drawn = Criterion("error", "drift", "m", "variants").picture(
-        [*scores, Score("error", "sometimes", 0.1, "m", item="a")]
-    )
+    criterion = Criterion("error", "drift", "m", "variants")
+    drawn = criterion.picture([*scores, Score("error", "sometimes", 0.1, "m", item="a")])
     assert drawn is not None
     svg, caption = drawn
     assert b"interaction mesh" in svg
@@ -246,36 +242,23 @@ def test_a_criterion_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
     assert b">20<" in svg
     assert "shorter bars are better" in caption
     assert "value to beat (plain forward kinematics)" in caption
-    assert Criterion("error", "drift", "m", "variants").picture(scores[:1]) is None
+    assert criterion.picture(scores[:1]) is None
     more = [Score("error", "interaction_mesh", 0.3, "m", item=item) for item in "cde"]
-    assert Criterion("error", "drift", "m", "variants").picture([*scores, *more]) == (
-        Criterion("error", "drift", "m", "variants").picture(scores)
-    ), "what has to be beaten is there, also where others were scored in more places"
+    said = "what has to be beaten is there, also where others were scored in more places"
+    assert criterion.picture([*scores, *more]) == criterion.picture(scores), said
 
 
 def test_the_card_names_every_source_with_its_licence() -> None:
-    card = DatasetCard(
-        title="Duets",
-        description="d",
-        summary=SUMMARY,
-        rows={"poses": 1200},
-        is_held_out={"hug": True, "waltz": False},
-        cautions=["synthetic"],
-    )
+    card = DatasetCard("Duets", "d", SUMMARY, {"poses": 1200}, {"hug": True, "waltz": False}, ["synthetic"])
     text = render("card.md", card=card)
-    for part in (
-        "| poses | 1,200 |",
-        "- hug (held out for evaluation)",
-        "**CMU** - free for all uses. mocap.cs.cmu.edu",
+    shown = [row for table in card_tables(card) for row in table.rows]
+    for part, row in (
+        ("**CMU** - free for all uses. mocap.cs.cmu.edu", ("CMU", "free for all uses", "mocap.cs.cmu.edu")),
+        ("- hug (held out for evaluation)", ("hug", "held out for evaluation")),
+        ("| poses | 1,200 |", ("poses", "1,200")),
+        ("synthetic", ("synthetic",)),
     ):
         assert part in text
-    shown = [row for table in card_tables(card) for row in table.rows]
-    for row in (
-        ("CMU", "free for all uses", "mocap.cs.cmu.edu"),
-        ("hug", "held out for evaluation"),
-        ("poses", "1,200"),
-        ("synthetic",),
-    ):
         assert row in shown
 
 
@@ -299,9 +282,9 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
         "from: CMU (licence: free for all uses)",
         "is it good: 3 fail, 4 pass, 1 warn",
     ]
+    draws = "match left-out images worse than nearest pose; not independent; cover real pairs better than nearest pose"
     products = [
-        "draws: fail: match left-out images worse than nearest pose; not independent; cover real pairs "
-        "better than nearest pose",
+        f"draws: fail: {draws}",
         "frames between: fail: worse than nearest pose; between lifted pairs better than nearest pose",
         "lifted pairs: pass: better than nearest pose",
     ]
@@ -326,13 +309,13 @@ def test_page_card_and_console_give_the_same_answers_in_the_same_order_and_the_w
 
 
 def test_a_product_that_is_not_judged_is_to_be_looked_at_and_the_others_get_their_advice() -> None:
-    verdicts = {"evaluation: reconstruction": Verdict(Level.NOT_JUDGED, "only 2 s"), "ingest": Verdict(Level.PASS)}
-    summary = Summary([], [], verdicts)
-    own = "ook at the reconstruction yourself, which could not be judged."
-    assert summary.advice == f"Use the takes; l{own}"
+    short = Verdict(Level.NOT_JUDGED, "only 2 s")
+    summary = Summary([], [], {"evaluation: reconstruction": short, "ingest": Verdict(Level.PASS)})
+    sentence = "ook at the reconstruction yourself, which could not be judged."
+    assert summary.advice == f"Use the takes; l{sentence}"
     assert "reconstruction: not judged: not judged" in summary.headlines()
-    assert Summary([], [], {"evaluation: reconstruction": verdicts["evaluation: reconstruction"]}).advice == f"L{own}"
-    kept = {"evaluation: augmentation": verdicts["evaluation: reconstruction"], "augmentation": Verdict(Level.PASS)}
+    assert Summary([], [], {"evaluation: reconstruction": short}).advice == f"L{sentence}"
+    kept = {"evaluation: augmentation": short, "augmentation": Verdict(Level.PASS)}
     assert "variants: not judged: contacts not compared; usable" in Summary([], [], kept).headlines()
 
 
@@ -351,7 +334,7 @@ def test_a_summary_leaves_out_what_is_not_finite() -> None:
     assert summarise({"m": np.array([np.nan])}, "e", "m") == []
 
 
-def test_take_scores_know_how_close_people_are() -> None:
+def test_take_scores_have_the_share_of_frames_with_people_close() -> None:
     people = np.zeros((10, 2, 22, 3))
     people[:, 1, :, 0] = 1.0
     people[5:, 1, :, 0] = 0.1
@@ -379,7 +362,7 @@ def _lab(colours: Sequence[str], seen_by: str) -> np.ndarray:
 @pytest.mark.parametrize("seen_by", _DEFICIENT)
 @pytest.mark.parametrize(("colours", "least"), [(COLOURS, 15.0), (PERSON_COLOURS, 11.0), (PERSON_COLOURS[:2], 60.0)])
 def test_colours_are_told_apart_by_colour_blind_people(colours: Sequence[str], least: float, seen_by: str) -> None:
-    """A difference of 2.3 in CIELAB is just noticed; these are at least some times as far apart."""
+    """A difference of 2.3 in CIELAB is just noticeable; all colours differ by several times that."""
     places = _lab(colours, seen_by)
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(len(places), 1)]
     assert apart.min() > least
@@ -388,9 +371,9 @@ def test_colours_are_told_apart_by_colour_blind_people(colours: Sequence[str], l
 def test_a_method_has_one_style_and_neighbours_differ_in_colour_and_marker() -> None:
     methods = known_methods()
     for at, method in enumerate(methods):
-        for other in methods[at + 1 : at + len(COLOURS)]:
-            assert method_style(method).colour != method_style(other).colour
-            assert method_style(method).marker != method_style(other).marker
+        for neighbour in methods[at + 1 : at + len(COLOURS)]:
+            assert method_style(method).colour != method_style(neighbour).colour
+            assert method_style(method).marker != method_style(neighbour).marker
     for together in (
         ("ic", "prior_only", "grown_seeds", "filled_seeds", "repaired"),
         ("over_time", "fitted", "neighbours", "nearest_draw", "mean_pair"),
@@ -406,7 +389,7 @@ def test_a_method_has_one_style_and_neighbours_differ_in_colour_and_marker() -> 
 
 
 def test_bars_say_what_the_verdict_says_and_leave_out_what_was_scored_on_other_items() -> None:
-    """Or a bar says 0.0295 cm where the verdict beside it says 0.0187: a mean over takes, and one over contacts."""
+    """A bar once showed 0.0295 cm, a mean over takes, beside a verdict of 0.0187 cm, a mean over contacts."""
     takes, seconds = ["a"] * 30 + ["b"] * 10, np.arange(40.0)
     values = {"fit": np.r_[np.full(30, 0.1), np.full(10, 0.5)], "nearest": np.full(40, 0.4)}
     criterion = Criterion("error", "joint error", "m", "poses", ("fit",))
@@ -416,12 +399,12 @@ def test_bars_say_what_the_verdict_says_and_leave_out_what_was_scored_on_other_i
         for method in values
         for take, part, count in (("a", slice(0, 30), 30), ("b", slice(30, 40), 10))
     ]
-    others = [Score("error", "viterbi", value, "m", item=item, count=20) for item, value in (("a", 0.2), ("b", 0.3))]
-    drawn = criterion.picture([*scores, *others], verdict)
+    elsewhere = [Score("error", "viterbi", value, "m", item=item, count=20) for item, value in (("a", 0.2), ("b", 0.3))]
+    drawn = criterion.picture([*scores, *elsewhere], verdict)
     assert drawn is not None
     assert b">20<" in drawn[0], "0.2 m, 30 frames of 0.1 and 10 of 0.5"
     assert b"best path" in drawn[0]
-    drawn = criterion.picture([*(replace(one, count=1) for one in scores), *others], verdict)
+    drawn = criterion.picture([*(replace(score, count=1) for score in scores), *elsewhere], verdict)
     assert drawn is not None
     assert b">20<" in drawn[0]
     assert b"best path" not in drawn[0]

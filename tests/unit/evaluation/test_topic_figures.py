@@ -1,4 +1,4 @@
-"""Figures of topics whose work is between the store and the page: each has a known answer on a tiny case."""
+"""Topics that score what stages stored: each has a known answer on a tiny case."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tasks.evaluation.realism import _Clips, _compare
 from tasks.rows.takes import read_take
 from tasks.stage import StageInputs
 from tests.builders.drawn_stores import Drawn, drawn_store
-from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_truth
+from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, lifted_row, pairs_of, put_lifted, put_motions, put_truth
 from tests.builders.storage_rows import put, random_columns, take_rows
 from tests.builders.stored_datasets import put_clips
 from tests.builders.stored_models import put_model
@@ -39,8 +39,8 @@ INPUTS = StageInputs(manifests={}, seed=3)
 
 
 def by_name(scores: Sequence[Score]) -> dict[tuple[str, str, str, str], Score]:
-    """Return scores by metric, method, split and item; none comes twice."""
-    found = {(one.metric, one.method, one.split, one.item): one for one in scores}
+    """Return scores by metric, method, split and item, which must be unique."""
+    found = {(score.metric, score.method, score.split, score.item): score for score in scores}
     assert len(found) == len(scores)
     return found
 
@@ -51,7 +51,7 @@ def lifted_result(store: Store, lifted: Sequence[Manifest], takes: list[Manifest
 
 
 def test_lifted_pairs_are_scored_by_part_and_method_in_the_axes_of_their_camera(store: Store) -> None:
-    """B is 0.4 or 0.2 m too far away: half of it is the error of the pair, all of it that of the depth."""
+    """B is 0.4 or 0.2 m too far away: the depth error is the whole distance, the error of the pair half of it."""
     takes, videos, poses = put_truth(store)
     expected = {"expected_error_m": 0.21, "expected_low_m": 0.1, "expected_high_m": 0.3}
     rows = [
@@ -63,24 +63,15 @@ def test_lifted_pairs_are_scored_by_part_and_method_in_the_axes_of_their_camera(
     ]
     result = lifted_result(store, [put_lifted(store, "all", rows)], takes, videos)
     found = by_name(result.scores)
-    means = {
-        (metric, method, split): one.value
-        for (metric, method, split, _), one in found.items()
-        if metric.endswith("_mean")
-    }
-    for split, method, apart_m in (
-        ("unannotated", "fitted", 0.3),
-        ("held_out", "fitted", 0.2),
-        ("held_out", "nearest_draw", 0.6),
-    ):
-        assert means["lifted_pair_error_mean", method, split] == pytest.approx(apart_m / 2, abs=1e-6)
-        assert means["lifted_person_error_mean", method, split] == pytest.approx(0.0, abs=1e-6)
-        assert means["relative_depth_error_mean", method, split] == pytest.approx(apart_m, abs=1e-6)
-    assert {split for _, _, split in means} == {"unannotated", "held_out"}
-    assert found["lifted_pair_error_mean", "fitted", "unannotated", "all"].unit == "m"
+    distances_m = {("unannotated", "fitted"): 0.3, ("held_out", "fitted"): 0.2, ("held_out", "nearest_draw"): 0.6}
+    for (split, method), apart_m in distances_m.items():
+        for quantity, error_m in (("lifted_pair", apart_m / 2), ("lifted_person", 0.0), ("relative_depth", apart_m)):
+            score = found[f"{quantity}_error_mean", method, split, "all"]
+            assert (score.value, score.unit) == (pytest.approx(error_m, abs=1e-6), "m")
+    assert {score.split for score in result.scores} == {"unannotated", "held_out"}
     assert found["lifted_pair_error_mean", "fitted", "unannotated", "all"].count == 2
     assert found["lifted_pair_error_p90", "fitted", "unannotated", "all"].value == pytest.approx(0.19, abs=1e-6)
-    # Of the errors 0.2 and 0.1 m one lies within what was expected.
+    # Of the errors 0.2 and 0.1 m, one lies within its expected interval.
     assert found["expected_interval_share", "fitted", "unannotated", "all"].value == 0.5
     assert found["expected_interval_share", "fitted", "held_out", "all"].value == 1.0
     assert result.baselines == lifting._BASELINES
@@ -111,7 +102,7 @@ def test_only_held_out_pairs_are_judged_each_beside_the_others_of_its_image(stor
     found = by_name(result.scores)["in_between_lifted_error_mean", "straight", "held_out", "all"]
     assert (found.unit, found.count) == ("m", 1)
     assert found.value == pytest.approx(0.1, abs=1e-6)
-    # What is shown is the truth, then methods in their order, of some images of each part.
+    # Examples of each part show the truth, then methods in their order.
     assert [list(example) for example in result.shown.examples["held_out"]] == [["truth", "fitted"]] * 2
     true = poses["hidden"][3] @ TURNS["film hidden"].T
     np.testing.assert_allclose(result.shown.examples["held_out"][0]["truth"], true, atol=1e-6)
@@ -123,7 +114,7 @@ def test_the_part_of_annotations_of_random_views_is_annotated_and_what_learned_f
     takes, videos, poses = put_truth(store)
     rows = [lifted_row(poses, "seen", 1, "fitted", 0.4)]
     lifted = put_lifted(store, "a", rows, purpose="random_views")
-    assert {one.split for one in lifted_result(store, [lifted], takes, videos).scores} == {"annotated"}
+    assert {score.split for score in lifted_result(store, [lifted], takes, videos).scores} == {"annotated"}
     rows = [lifted_row(poses, "hidden", 1, "fitted", 0.4)]
     learned = put_lifted(store, "b", rows, is_held_out=True, learned_takes=["hidden"])
     with pytest.raises(InputError, match="learned from hidden, which it is evaluated on"):
@@ -159,11 +150,9 @@ def test_completed_joints_and_frames_between_are_those_of_spread_real_pairs(stor
     np.testing.assert_allclose(items.times_s, [frame / RATE_HZ for frame in frames] * len(wanted))
     np.testing.assert_allclose(items.values["fitted"], np.concatenate([part["fitted"] for part in wanted.values()]))
     assert truth.held_out == {"hidden"}
+    draws = put_draws(store, "of the test", draws_m, ["hidden"])
     with pytest.raises(InputError, match="learned from hidden"):
-        lifting._truth_and_pool(
-            lifting.TOPIC.shard(INPUTS, "completed", takes=takes, draws=[put_draws(store, "own", draws_m, ["hidden"])]),
-            store,
-        )
+        lifting._truth_and_pool(lifting.TOPIC.shard(INPUTS, "completed", takes=takes, draws=[draws]), store)
 
 
 def test_frames_between_have_the_errors_of_their_span(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,8 +191,8 @@ def test_a_held_out_take_of_the_priors_is_neither_covered_nor_among_the_real_fra
     monkeypatch.setattr(sets, "select_pairs", lambda *_: SimpleNamespace(columns={}))
     result = sets.TOPIC.compute(shard, store)
     assert set(result.items[""].takes) == {"hidden"}
-    # Of the real frames, those of the one take that is learned from, half are a set and half are what it is held to.
-    assert {one.count for one in result.scores if one.method == "real_frames"} == {(FRAMES + 1) // 2}
+    # Real frames come from the take that is learned from: half are a set, and half are what it is compared with.
+    assert {score.count for score in result.scores if score.method == "real_frames"} == {(FRAMES + 1) // 2}
 
 
 @pytest.mark.parametrize(
@@ -217,13 +206,14 @@ def test_coverage_is_measured_from_one_draw_to_all_each_number_once(
 
 
 def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) -> None:
-    """Variants are their take 1, 2 and 3 m aside: so far off is who takes the source for the variant."""
+    """Each variant is its take moved 1, 2 or 3 m aside, which is the error of a copy of the source."""
     takes = [Drawn("waltz", 6, False, ("pass", "pass", "warn")), Drawn("hug", 4, False, ("pass",))]
-    store, made = drawn_store(str(tmp_path / "store"), takes)
-    variants = [one for one in store.artifacts() if "variants" in one.tables]
-    test = {made[0].name: ["v0", "v2"], made[1].name: ["v0"]}
-    stored = [put_model(store, model, "random", made, test) for model in (CopyModel(), NaiveFkModel())]
-    manifests = {"models": stored, "poses": made, "variants": variants, "variant_quality": variants}
+    store, poses = drawn_store(str(tmp_path / "store"), takes)
+    waltz, hug = (take.name for take in poses)
+    variants = [manifest for manifest in store.artifacts() if "variants" in manifest.tables]
+    test = {waltz: ["v0", "v2"], hug: ["v0"]}
+    stored = [put_model(store, model, "random", poses, test) for model in (CopyModel(), NaiveFkModel())]
+    manifests = {"models": stored, "poses": poses, "variants": variants, "variant_quality": variants}
     (shard,) = models.TOPIC.plan(StageInputs(manifests=manifests, seed=3), models.ModelsSettings())
     result = models.TOPIC.compute(shard, store)
     found = by_name(result.scores)
@@ -235,22 +225,19 @@ def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) 
     bones = found["E_b", "copy", "random test", "all"]
     assert (bones.value, bones.unit) == (pytest.approx(0.0, abs=1e-3), "mm")
     items = result.items["random"]
-    assert list(items.takes) == [made[0].name] * 12 + [made[1].name] * 4
+    assert list(items.takes) == [waltz] * 12 + [hug] * 4
     np.testing.assert_allclose(items.values["copy"], [100.0] * 6 + [300.0] * 6 + [100.0] * 4, rtol=1e-5)
     np.testing.assert_allclose(items.times_s, np.concatenate([np.arange(6), np.arange(6), np.arange(4)]) / 30.0)
     assert items.count == 3
     assert result.baselines == ["copy", "naive_fk"]
     assert result.notes[0].startswith("Split random: 3 of 3 test variants of 2 takes; trained on 2. Intervals are over")
     shown = result.shown
-    assert [(key.take_id, key.variant_id) for key in shown.keys] == [
-        (made[0].name, "v0"),
-        (made[0].name, "v2"),
-        (made[1].name, "v0"),
-    ]
+    keys = [(waltz, "v0"), (waltz, "v2"), (hug, "v0")]
+    assert [(key.take_id, key.variant_id) for key in shown.keys] == keys
     assert [key.furthest_scale for key in shown.keys] == pytest.approx([1.0, 1.2, 1.0])
     said, cases = shown.cases
     assert list(cases) == ["best", "median", "worst"]
-    assert f"worst: {made[0].name}, v2, " in said
+    assert f"worst: {waltz}, v2, " in said
     item, predicted = cases["worst"]
     assert item.variant_id == "v2"
     assert predicted.shape == item.motion_m.shape
@@ -258,23 +245,25 @@ def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) 
     assert errors.name == "models-random.svg"
     assert b"models on random test variants" in errors.content
     assert "on the 3 test variants of split random" in errors.caption
-    players = [json.loads(one.content) for one in models.TOPIC.pictures(result) if one.name.startswith("cases-")]
-    assert [[panel["title"].split(":")[0] for panel in player["panels"]] for player in players] == [list(cases)]
-    assert {player["num_frames"] for player in players} == {2}, "as long as the shortest of them lasts"
+    (player,) = (
+        json.loads(picture.content) for picture in models.TOPIC.pictures(result) if picture.name.startswith("cases-")
+    )
+    assert [panel["title"].split(":")[0] for panel in player["panels"]] == list(cases)
+    assert player["num_frames"] == 2, "as long as the shortest of them lasts"
     curves = models.TOPIC.pictures(replace(result, shown=shown._replace(curves={}, cases=("", {}))))
-    assert [one.name for one in curves] == ["models-random.svg"]
+    assert [picture.name for picture in curves] == ["models-random.svg"]
     steps = {"copy": (np.array([1.0, 2.0]), np.array([3.0, 2.5]))}
     learned = models.TOPIC.pictures(replace(result, shown=shown._replace(curves=steps, cases=("", {}))))
-    assert [one.name for one in learned] == ["models-random.svg", "learning-random.svg"]
+    assert [picture.name for picture in learned] == ["models-random.svg", "learning-random.svg"]
     fewer = models.ModelsSettings(num_test_variants=1)
     (shard,) = models.TOPIC.plan(StageInputs(manifests=manifests, seed=3), fewer)
     assert by_name(models.TOPIC.compute(shard, store).scores)["E_r", "copy", "random test", "all"].count == 1
 
 
 def test_generated_motion_is_judged_by_the_contacts_of_its_take_in_millimetres(store: Store) -> None:
-    """The scene is a tenth larger, so is the distance of each contact; what the solver made is the take."""
+    """The generated scene is 10 % larger, and so is the distance of each contact; the solver's variant is the take."""
     take, solved = put_clips(store, "waltz", 1, 30, ["v0", "v1"])
-    other, _ = put_clips(store, "hug", 2, 30, ["v0"])
+    hug, _ = put_clips(store, "hug", 2, 30, ["v0"])
     model = put_model(store, CopyModel(), "random", [take], {"waltz": ["v0"]})
     people = read_take(store, take.ref).source
     larger = put_clips(store, "larger", 1, 30, ["g0"])[1]
@@ -285,10 +274,10 @@ def test_generated_motion_is_judged_by_the_contacts_of_its_take_in_millimetres(s
     quality["bone_scale"] = [np.ones(44)]
     origin = {"model": "copy", "split": "random", "artifact": model.ref.key, "segment": 0, "seed": 0}
     facts = {**solved.facts, "variants": ["g0"], "origin": origin, "told": {**solved.facts["told"], "variants": ["g0"]}}
-    made = put(store, "generation", "waltz", {"variants": rows, "variant_quality": quality}, facts, (take,))
+    generated = put(store, "generation", "waltz", {"variants": rows, "variant_quality": quality}, facts, (take,))
     elsewhere = {**facts, "origin": origin | {"artifact": "0" * 64}}
     not_ours = put(store, "generation", "not ours", {"variants": rows, "variant_quality": quality}, elsewhere, (take,))
-    manifests = {"models": [model], "poses": [take, other], "variants": [solved, made, not_ours]}
+    manifests = {"models": [model], "poses": [take, hug], "variants": [solved, generated, not_ours]}
     inputs = StageInputs(manifests=manifests, seed=3)
     (shard,) = generation.TOPIC.plan(inputs, generation.LearnedSettings())
     assert [len(shard.refs(role)) for role in ("generated", "solved", "takes")] == [1, 1, 2]
@@ -319,22 +308,12 @@ def test_generated_motion_is_judged_by_the_contacts_of_its_take_in_millimetres(s
 
 
 def put_motion(store: Store, poses: Mapping[str, np.ndarray], off_m: float) -> Manifest:
-    """Commit a reconstruction of the hidden take: A as it was, B off to the side; a third is a passer-by."""
-    frames = np.arange(FRAMES - 1)
-    rows: dict[str, list[Any]] = {"person_id": [], "frame": [], "method": [], "op14_m": []}
-    for method, factor in (("nearest_frame", 2.0), ("windows", 1.0)):
-        for person in range(3):
-            true = poses["hidden"][1:, min(person, 1)] @ TURNS["film hidden"].T
-            shift = np.array([off_m * factor, 0.0, 0.0]) if person else np.zeros(3)
-            rows["op14_m"] += list(true * (1.0 + 0.1 * (person == 0) * (factor - 1.0)) + shift)
-            rows["person_id"] += [person] * len(frames)
-            rows["frame"] += frames.tolist()
-            rows["method"] += [method] * len(frames)
-    columns = random_columns("motions", len(rows["frame"])) | rows
-    columns |= {"op14_m": np.array(rows["op14_m"]), "sequence_id": ["film hidden"] * len(rows["frame"])}
-    columns |= {"time_s": np.array(rows["frame"]) / RATE_HZ}
-    facts = {"kind": "motions", "sequence_ids": ["film hidden"], "sequence_takes": ["hidden"], "pitch_deg": 10.0}
-    return put(store, "reconstruction", "film hidden", {"motions": columns}, facts | {"methods": ["windows"]})
+    """Commit a reconstruction of the hidden take: A is right, B off to the side, and a third is a passer-by."""
+    people_m = (poses["hidden"][1:] @ TURNS["film hidden"].T)[:, [0, 1, 1]]
+    shift_m = np.array([0.0, off_m, off_m])[:, None, None] * [1.0, 0.0, 0.0]
+    larger = np.array([1.1, 1.0, 1.0])[:, None, None]
+    motions_m = {"nearest_frame": larger * people_m + 2.0 * shift_m, "windows": people_m + shift_m}
+    return put_motions(store, "film hidden", motions_m, person_ids=range(3), pitch_deg=10.0, methods=["windows"])
 
 
 def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_camera(store: Store) -> None:
@@ -345,15 +324,15 @@ def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_
     )
     result = reconstruction.TOPIC.compute(shard, store)
     found = by_name(result.scores)
-    assert {one.split for one in result.scores} == {"held_out"}
+    assert {score.split for score in result.scores} == {"held_out"}
     for person in (0, 1):
         item = f"film hidden person {person}"
         for metric in ("error_root_kept", "error_root_removed", "error_scale_free"):
             score = found[metric, "windows", "held_out", item]
             assert score.value == pytest.approx(0.0, abs=1e-6)
             assert (score.unit, score.count) == ("m", FRAMES - 1)
-    assert not [one for one in result.scores if "person 2" in one.item], "he is not of the take"
-    # A is a tenth too large by the other method: about his mid-hip that is a tenth of the distance of each joint.
+    assert not [score for score in result.scores if "person 2" in score.item], "he is not of the take"
+    # The other method makes A 10 % too large, which is 10 % of the distance of each joint from the mid-hip.
     true = poses["hidden"][1:, 0]
     hips = true[:, OP14.indices(["left_hip", "right_hip"])].mean(axis=1, keepdims=True)
     wanted = 0.1 * np.linalg.norm(true - hips, axis=-1).mean()
@@ -371,9 +350,9 @@ def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_
 def test_people_of_film_are_scored_at_the_moments_that_its_take_has_by_the_clock_of_the_take(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second of film is two of the take, which has 5 of its 8 frames; person 7 is A, person 3 is B."""
+    """A second of film is two seconds of the take, which covers 5 of its 8 frames; person 7 is A, person 3 is B."""
     takes, videos, poses = put_truth(store, "op14_m")
-    frames, turn = np.arange(8), TURNS["film hidden"]
+    frames = np.arange(8)
     camera = GroundTruth.read(store, [], [videos[1].ref]).cameras["film hidden"]
     aligned = FilmAlignment(camera, person_ids=(7, 3), offset_s=0.1, rate=2.0, residual=0.01)
     asked: list[Any] = []
@@ -385,11 +364,9 @@ def test_people_of_film_are_scored_at_the_moments_that_its_take_has_by_the_clock
     seen |= {"op14_confidence": np.ones((16, 14))}
     facts = {"kind": "sequences", "sequence_ids": ["film"], "takes": ["hidden"], "num_persons": 2, "rate_hz": RATE_HZ}
     video = put(store, "ingest", "film", {"annotations": seen | {"focal_px": [500.0] * 16}}, facts)
-    true = poses["hidden"][np.minimum(2 + 2 * frames, FRAMES - 1)] @ turn.T
-    found = np.concatenate([true[:, 1] + [0.0, 0.0, 0.4], true[:, 0]])
-    rows = random_columns("motions", 16) | film | {"method": ["windows"] * 16, "op14_m": found}
-    facts = {"kind": "motions", "sequence_ids": ["film"], "sequence_takes": ["hidden"], "pitch_deg": 12.0}
-    motions = put(store, "reconstruction", "film", {"motions": rows}, facts, (video,))
+    true = poses["hidden"][np.minimum(2 + 2 * frames, FRAMES - 1)] @ TURNS["film hidden"].T
+    found_m = np.stack([true[:, 1] + [0.0, 0.0, 0.4], true[:, 0]], axis=1)
+    motions = put_motions(store, "film", {"windows": found_m}, person_ids=(3, 7), inputs=(video,), pitch_deg=12.0)
     manifests = {"motions": [motions], "annotations": [*videos, video], "poses": takes}
     (shard,) = reconstruction.TOPIC.plan(StageInputs(manifests=manifests, seed=3), reconstruction.Parameters())
     result = reconstruction.TOPIC.compute(shard, store)
@@ -397,8 +374,8 @@ def test_people_of_film_are_scored_at_the_moments_that_its_take_has_by_the_clock
     ((tracks, motion_m, rate_hz),) = asked
     assert ([track.person_id for track in tracks], rate_hz) == ([3, 7], RATE_HZ)
     np.testing.assert_allclose(motion_m, poses["hidden"])
-    scores = {name[::3]: one for name, one in by_name(result.scores).items() if name[1] in ("windows", "truth")}
-    assert {one.split for one in result.scores} == {"annotated"}
+    scores = {name[::3]: score for name, score in by_name(result.scores).items() if name[1] in ("windows", "truth")}
+    assert {score.split for score in result.scores} == {"annotated"}
     for item in ("film person 3", "film person 7"):
         assert scores["error_root_kept", item].value == pytest.approx(0.0, abs=1e-6)
         assert scores["error_root_kept", item].count == 5
@@ -410,9 +387,8 @@ def test_people_of_film_are_scored_at_the_moments_that_its_take_has_by_the_clock
     assert list(result.items[""].takes) == ["hidden"] * 10
     np.testing.assert_allclose(result.items[""].times_s, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], 2))
     monkeypatch.setattr(reconstruction, "align_film", lambda *_: replace(aligned, person_ids=(8, 9)))
-    assert reconstruction.TOPIC.compute(shard, store).notes == [
-        "film: nobody of its take was reconstructed; no scores."
-    ]
+    notes = reconstruction.TOPIC.compute(shard, store).notes
+    assert notes == ["film: nobody of its take was reconstructed; no scores."]
 
 
 def test_what_is_shown_of_a_reconstruction_is_its_last_method_with_the_image_of_each_person(store: Store) -> None:
@@ -441,7 +417,7 @@ def _without_first(person: Any) -> Any:
 
 
 class Features:
-    """Stands for the classifier: the features of a clip are two of its numbers, it knows who is right of the other."""
+    """A stand-in for the classifier: features are two numbers of a clip, and it knows who is on the right."""
 
     labels = ("left", "right")
 
@@ -458,7 +434,7 @@ def clips(number: int, count: int, middle: float = 0.0) -> np.ndarray:
 
 
 def test_models_are_compared_with_what_the_solver_made_of_the_other_half() -> None:
-    made = {
+    clips_of = {
         name: [
             _Clips("left" if at % 2 else "right", f"take {at}", clips(10 * at + number, 2 + at % 3, middle))
             for at in range(12)
@@ -466,29 +442,29 @@ def test_models_are_compared_with_what_the_solver_made_of_the_other_half() -> No
         for number, (name, middle) in enumerate({"solver": 0.0, "model": 2.0}.items())
     }
     first, second = [0, 3, 4, 7, 8, 11], [1, 2, 5, 6, 9, 10]
-    found = by_name(_compare(Features(), made, first, second, split="s test", item="all"))  # type: ignore[arg-type]
-    real = np.concatenate([made["solver"][at].clips[:, 0, 0, :2, 0] for at in second])
+    found = by_name(_compare(Features(), clips_of, first, second, split="s test", item="all"))  # type: ignore[arg-type]
+    real = np.concatenate([clips_of["solver"][at].clips[:, 0, 0, :2, 0] for at in second])
     units = [f"take {at}" for at in second for _ in range(2 + at % 3)]
     for name in ("solver", "model"):
-        own = np.concatenate([made[name][at].clips[:, 0, 0, :2, 0] for at in first])
-        own_units = [f"take {at}" for at in first for _ in range(2 + at % 3)]
-        figures = distances(real, own)
+        generated = np.concatenate([clips_of[name][at].clips[:, 0, 0, :2, 0] for at in first])
+        generated_units = [f"take {at}" for at in first for _ in range(2 + at % 3)]
+        figures = distances(real, generated)
         for metric, value in figures.items():
             assert found[metric, name, "s test", "all"].value == pytest.approx(value)
-            assert found[metric, name, "s test", "all"].count == len(own)
-        low, high = kernel_interval(real, own, units, own_units)
+            assert found[metric, name, "s test", "all"].count == len(generated)
+        low, high = kernel_interval(real, generated, units, generated_units)
         kid = found["KID", name, "s test", "all"]
         assert (kid.low, kid.high) == pytest.approx((KID_FACTOR * low, KID_FACTOR * high))
-        right = [((one.clips[:, 0, 0, 0, 0] > 0) == (one.kind == "right")) for one in made[name]]
+        right = [((clip.clips[:, 0, 0, 0, 0] > 0) == (clip.kind == "right")) for clip in clips_of[name]]
         share = found["recognised", name, "s test", "all"]
         assert share.value == pytest.approx(100.0 * np.concatenate(right).mean())
         assert (share.unit, share.count) == ("%", 36)
-    alone = by_name(_compare(Features(), made, first, [], split="s test", item="all"))  # type: ignore[arg-type]
+    alone = by_name(_compare(Features(), clips_of, first, [], split="s test", item="all"))  # type: ignore[arg-type]
     assert {metric for metric, *_ in alone} == {"recognised"}
 
 
 class Interactions(Features):
-    """Stands for the classifier of these interactions."""
+    """A stand-in for the classifier of these interactions."""
 
     labels, digest = ("waltz", "hug"), "0" * 8
 
@@ -499,24 +475,24 @@ class Interactions(Features):
 def test_a_model_that_gives_what_the_solver_gives_scores_as_the_solver(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Variant v0 is its take: so is what is copied from it.  The held-out take is not learned from."""
-    made: list[Interactions] = []
+    """Variant v0 equals its take, and so does a copy.  The held-out take is not learned from."""
+    classifiers: list[Interactions] = []
     monkeypatch.setattr(
         "pasdedeux.learning.networks.clip_classifier.train_classifier",
-        lambda real, *_: made.append(Interactions(real)) or made[-1],
+        lambda real, *_: classifiers.append(Interactions(real)) or classifiers[-1],
     )
     names = ("waltz", "hug", "judo")
     stored = [put_clips(store, name, 1, 90, ["v0"], is_held_out=name == "judo") for name in names]
-    takes, variants = ([one[at] for one in stored] for at in range(2))
+    takes, variants = ([manifests_of[at] for manifests_of in stored] for at in range(2))
     model = put_model(store, CopyModel(), "random", takes, {name: ["v0"] for name in names})
     manifests = {"models": [model], "poses": takes, "variants": variants}
     settings = realism.LearnedSettings(num_realism_variants=3)
     inputs = StageInputs(manifests=manifests, seed=3)
     (shard,) = realism.TOPIC.plan(inputs, settings)
     result = realism.TOPIC.compute(shard, store)
-    assert made[0].learned == {"waltz": (3, 20, 2, 22, 3), "hug": (3, 20, 2, 22, 3)}
+    assert classifiers[0].learned == {"waltz": (3, 20, 2, 22, 3), "hug": (3, 20, 2, 22, 3)}
     found = by_name(result.scores)
-    assert {one.split for one in result.scores} == {"random test"}
+    assert {score.split for score in result.scores} == {"random test"}
     for (metric, method, split, item), score in found.items():
         twin = found[metric, "copy" if method == "solver" else "solver", split, item]
         assert (score.value, score.count, score.low) == pytest.approx((twin.value, twin.count, twin.low), nan_ok=True)
@@ -526,29 +502,27 @@ def test_a_model_that_gives_what_the_solver_gives_scores_as_the_solver(
     assert realism.TOPIC.plan(inputs, realism.LearnedSettings()) == []
     (one_kind,) = realism.TOPIC.plan(StageInputs(manifests=manifests | {"poses": takes[1:]}, seed=3), settings)
     skipped = realism.TOPIC.compute(one_kind, store)
-    assert (list(skipped.scores), len(skipped.notes), len(made)) == ([], 1, 1)
+    assert (list(skipped.scores), len(skipped.notes), len(classifiers)) == ([], 1, 1)
 
 
 def test_generated_motion_is_compared_with_half_of_the_real_clips_of_its_takes() -> None:
     names = [f"take {number}" for number in range(6)]
     real = {name: clips(number, 2) for number, name in enumerate(names)} | {"elsewhere": clips(7, 5)}
     kinds = dict.fromkeys(names, "waltz") | {"elsewhere": "hug"}
-    made = {
+    generated = {
         "model": {name: [real[name] + 1.0, real[name] + 2.0] for name in names},
         "solver": {name: [real[name]] for name in names[1:]},
     }
-    scores = distribution_scores(
-        Features(),
-        real,
-        kinds,
-        made,
-        np.random.default_rng(0),
-        split="s test",  # type: ignore[arg-type]
-    )
+
+    def compared(real: Mapping[str, np.ndarray], generated: Mapping[str, Any]) -> list[Score]:
+        classifier: Any = Features()
+        return distribution_scores(classifier, real, kinds, generated, np.random.default_rng(0), split="s test")
+
+    scores = compared(real, generated)
     found = by_name(scores)
-    assert {one.method for one in scores} == {"real_halves", "strangers", "model"}, "the solver lacks a take"
-    assert {one.split for one in scores} == {"s test"}
-    assert {one.count for one in scores} == {6}
+    assert {score.method for score in scores} == {"real_halves", "strangers", "model"}, "the solver lacks a take"
+    assert {score.split for score in scores} == {"s test"}
+    assert {score.count for score in scores} == {6}
     # Both motions of a take are a metre apart in each of two features, at every time.
     assert found["multimodality", "model", "s test", "all"].value == pytest.approx(np.sqrt(2.0))
     assert ("multimodality", "real_halves", "s test", "all") not in found
@@ -558,20 +532,12 @@ def test_generated_motion_is_compared_with_half_of_the_real_clips_of_its_takes()
     kid = found["KID", "model", "s test", "all"]
     assert kid.low < kid.value < kid.high
     assert kid.value > found["KID", "real_halves", "s test", "all"].high
-    few = distribution_scores(
-        Features(),
-        {"a": clips(1, 2)},
-        kinds,
-        {"model": {"a": [clips(4, 2)]}},
-        np.random.default_rng(0),
-        split="s",  # type: ignore[arg-type]
-    )
-    assert few == []
+    assert compared({"a": clips(1, 2)}, {"model": {"a": [clips(4, 2)]}}) == []
 
 
 def test_the_truth_is_read_with_its_cameras_and_frames(store: Store) -> None:
     takes, videos, poses = put_truth(store)
-    truth = GroundTruth.read(store, [one.ref for one in takes], [one.ref for one in videos])
+    truth = GroundTruth.read(store, [manifest.ref for manifest in takes], [manifest.ref for manifest in videos])
     np.testing.assert_allclose(truth.takes["hidden"], poses["hidden"], atol=1e-6)
     assert truth.held_out == {"hidden"}
     assert truth.frames["film seen", 0] == ("seen", 1)
@@ -601,13 +567,13 @@ def test_drifts_of_contacts_are_told_apart_by_hands_and_bodies_over_all_variants
     found = {"interaction_mesh": np.array([[0.01, 0.5, 0.7], [0.03, 0.1, 0.3]]), "naive_fk": np.full((2, 3), 0.2)}
     drifts = augmentation.ContactDrifts(np.array([True, False, False]), np.arange(3), found)
     scores = by_name(augmentation.contact_scores(drifts, item="waltz"))
-    assert {(item, one.unit) for (*_, item), one in scores.items()} == {("waltz", "m")}
-    values = {(metric, method): (one.value, one.count) for (metric, method, *_), one in scores.items()}
+    assert {(item, score.unit) for (*_, item), score in scores.items()} == {("waltz", "m")}
+    values = {(metric, method): (score.value, score.count) for (metric, method, *_), score in scores.items()}
     for name, mine, count in (("hand", [0.01, 0.03], 2), ("body", [0.1, 0.3, 0.5, 0.7], 4)):
         for which, share in (("median", 50.0), ("p95", 95.0), ("worst", 100.0)):
             metric = f"{name}_contact_drift_{which}"
             assert values[metric, "interaction_mesh"] == (pytest.approx(np.percentile(mine, share)), count)
             assert values[metric, "naive_fk"] == (pytest.approx(0.2), count)
     bodies = augmentation.ContactDrifts(np.zeros(3, dtype=bool), np.arange(3), found)
-    metrics = {one.metric for one in augmentation.contact_scores(bodies, item="waltz")}
+    metrics = {score.metric for score in augmentation.contact_scores(bodies, item="waltz")}
     assert metrics == {f"body_contact_drift_{which}" for which in ("median", "p95", "worst")}

@@ -1,4 +1,4 @@
-"""Shards of topics that show and score what stages left in the store: each has a known answer on a tiny case."""
+"""Topics that show and score what stages stored: each has a known answer on a tiny case."""
 
 from __future__ import annotations
 
@@ -18,13 +18,11 @@ from pasdedeux.evaluation.score_tables import format_value
 from pasdedeux.interaction.nearest import pair_table
 from pasdedeux.interaction.pair_map import PairMap
 from pasdedeux.kinematics.rotations import rotate, unitquat_from_rotvec
-from pasdedeux.projections.database import Database
-from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.reconstruction.matching import Searcher
 from pasdedeux.reconstruction.unseen_views import CONDITIONS, UnseenMotion
 from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread
-from storage_schema import Manifest, Store
+from storage_schema import Store
 from tasks.evaluation import chains, coverage, detector, lifting, unseen_views, views
 from tasks.evaluation.ground_truth import GroundTruth
 from tasks.evaluation.topic import Topic, TopicResult
@@ -33,10 +31,10 @@ from tasks.rows.draw_sets import read_draw_sets
 from tasks.stage import StageInputs
 from tasks.stage.streams import stream
 from tests.builders.drawn_pairs import put_draws, put_seeds
-from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, put_lifted, put_truth
+from tests.builders.known_truth import FRAMES, RATE_HZ, TURNS, put_lifted, put_motions, put_truth
 from tests.builders.sampling_store import NUM_FRAMES, pairs_of, put_annotations, put_take
 from tests.builders.storage_rows import put, random_columns, take_rows
-from tests.builders.walkers import walk
+from tests.builders.walkers import database_of, walk
 
 PAIRS = pairs_of("one")
 
@@ -48,7 +46,7 @@ def computed(topic: Topic[Any], store: Store, name: str, inputs: StageInputs) ->
 
 
 def values_of(result: TopicResult[Any]) -> dict[tuple[str, str, str, str], float]:
-    found = {(one.metric, one.method, one.split, one.item): one.value for one in result.scores}
+    found = {(score.metric, score.method, score.split, score.item): score.value for score in result.scores}
     assert len(found) == len(result.scores)
     return found
 
@@ -88,7 +86,7 @@ def test_chains_are_summed_up_by_density_and_seed_and_those_that_did_not_pass_ar
         metric: value for (metric, method, _, item), value in found.items() if (method, item) == ("ic", "seed 4")
     }
     assert of_seed == pytest.approx(wanted | {"ceiling_share_mean": 0.2})
-    assert {one.count for one in result.scores if one.method == "ic"} == {2}
+    assert {score.count for score in result.scores if score.method == "ic"} == {2}
     assert not [metric for metric, method, *_ in found if method == "prior_only" and "sigma" in metric]
     assert result.notes == [
         f"{in_words('ic')}: 1 of 2 chains did not pass, for example (warn, seed 4): it hardly moves."
@@ -119,7 +117,7 @@ def test_states_of_a_chain_stand_beside_the_annotations_most_like_them(sampled: 
     result = computed(chains.TOPIC, store, "nearest", inputs)
     (annotations,), (seen,) = inputs.of("annotations"), inputs.of("views")
     every, _ = read_seen_pairs(store, annotations.ref, seen.ref, num_hypotheses=1)
-    by_frame = {int(place.sequence_id[-5:]): one for place, one in every.items()}
+    by_frame = {int(place.sequence_id[-5:]): pair for place, pair in every.items()}
     rows = result.shown.neighbours["ic"]
     assert len(rows) == 4
     for words, (draw, *near) in rows:
@@ -143,24 +141,13 @@ def test_lifted_pairs_stand_beside_their_nearest_annotations_and_draws_with_thei
     store, inputs = sampled
     (annotations,) = inputs.of("annotations")
     expected = {"expected_error_m": 0.204, "expected_low_m": 0.1, "expected_high_m": 0.346}
-    none = dict.fromkeys(expected)
-    place = {"frame": 0, "person_id": 0, "partner_id": 1}
+    row = {"frame": 0, "person_id": 0, "partner_id": 1} | expected | {"method": "fitted"}
     rows = [
-        place | expected | {"sequence_id": "one/view00007", "pair17_m": PAIRS[7], "method": "fitted"},
-        place | none | {"sequence_id": "one/view00008", "pair17_m": PAIRS[8], "method": "mean_pair"},
-        place
-        | expected
-        | {"sequence_id": "nowhere", "pair17_m": PAIRS[9], "method": "fitted", "expected_error_m": 0.4},
+        row | {"sequence_id": "one/view00007", "pair17_m": PAIRS[7]},
+        row | dict.fromkeys(expected) | {"sequence_id": "one/view00008", "pair17_m": PAIRS[8], "method": "mean_pair"},
+        row | {"sequence_id": "nowhere", "pair17_m": PAIRS[9], "expected_error_m": 0.4},
     ]
-    lifted = put_lifted(store, "all", rows)
-    lifted = put(
-        store,
-        "lifting",
-        "lifted_pairs of all",
-        {"lifted_pairs": random_columns("lifted_pairs", 3) | {key: [row[key] for row in rows] for key in rows[0]}},
-        dict(lifted.facts),
-        (annotations,),
-    )
+    lifted = put_lifted(store, "all", rows, inputs=(annotations,))
     given = StageInputs({**inputs.manifests, "lifted_pairs": [lifted]}, seed=1)
     result = computed(lifting.TOPIC, store, "nearest", given)
     ((label, row),) = result.shown.neighbours
@@ -176,21 +163,20 @@ def test_lifted_pairs_stand_beside_their_nearest_annotations_and_draws_with_thei
         draws[0][1] - draws[0][1].mean(axis=(0, 1)), images["image"] - images["image"].mean(axis=(0, 1)), atol=0.01
     )
     found = values_of(result)
-    assert found["expected_error_mean", "fitted", "all", "lifted pairs of all lifted pairs of all"] == pytest.approx(
-        0.302
-    )
+    (expected_m,) = (value for (metric, method, *_), value in found.items() if metric == "expected_error_mean")
+    assert expected_m == pytest.approx(0.302)
     assert [picture.name for picture in lifting.TOPIC.pictures(result)] == ["nearest.svg"]
 
 
 def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_judged(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The heaviest hypothesis is so many degrees off, the other one is the truth."""
+    """The heaviest hypothesis is off by a known angle, and the other one is the truth."""
     takes, videos, _ = put_truth(store)
-    made = []
+    stored = []
     for number, (video, off_deg) in enumerate(zip(videos, (10.0, 25.0), strict=True)):
         truth = GroundTruth.read(store, [take.ref for take in takes], [video.ref])
-        name, count = next(iter(TURNS)) if number == 0 else list(TURNS)[1], FRAMES - 1
+        name, count = list(TURNS)[number], FRAMES - 1
         directions = []
         for frame in range(count):
             take_id, at = truth.frames[name, frame]
@@ -212,10 +198,9 @@ def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_j
         facts = {"kind": "views", "learned_takes": [], "torso_basis": "", "sequence_ids": [name], "purpose": None}
         facts |= {"is_held_out": bool(number), "num_annotations": count, "num_without_view": 0, "num_hypotheses": 2}
         facts |= {"size_ratio": 1.0, "skipped": [f"{name}: one is skipped"]}
-        made.append(put(store, "views", name, {"views": rows}, facts, (video,)))
-    result = computed(
-        views.TOPIC, store, "accuracy", StageInputs({"views": made, "annotations": videos, "poses": takes}, seed=1)
-    )
+        stored.append(put(store, "views", name, {"views": rows}, facts, (video,)))
+    inputs = StageInputs({"views": stored, "annotations": videos, "poses": takes}, seed=1)
+    result = computed(views.TOPIC, store, "accuracy", inputs)
     found = values_of(result)
     for split, off_deg in (("annotated", 10.0), ("held_out", 25.0)):
         assert found["view_error_mean", "heaviest_hypothesis", split, "all"] == pytest.approx(off_deg, abs=1e-3)
@@ -236,40 +221,22 @@ def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_j
     (dots,) = axis.collections
     np.testing.assert_allclose(dots.get_offsets(), np.degrees(np.stack(result.shown[:2], axis=1)))
     np.testing.assert_allclose(dots.get_sizes(), 1.0 + 12.0 * np.asarray(result.shown.weight))
-    alone = views.TOPIC.compute(
-        views.TOPIC.shard(StageInputs({}, seed=1), "accuracy", views=[made[0]], annotations=[], takes=[]), store
-    )
+    shard = views.TOPIC.shard(inputs, "accuracy", views=[stored[0]], annotations=[], takes=[])
+    alone = views.TOPIC.compute(shard, store)
     assert (alone.scores, alone.items) == ([], {})
     assert alone.notes[-1] == "No true camera is known, so the error of views cannot be measured."
-
-
-def put_followed(store: Store, name: str, found_m: np.ndarray, method: str = "fit") -> Manifest:
-    """Commit people (frame, 2, 14, 3) that were reconstructed of the held-out take."""
-    frames, persons = np.repeat(np.arange(len(found_m)), 2), np.tile([0, 1], len(found_m))
-    columns = random_columns("motions", len(frames)) | {
-        "sequence_id": [name] * len(frames),
-        "method": [method] * len(frames),
-        "person_id": persons,
-        "frame": frames,
-        "time_s": frames / RATE_HZ,
-        "op14_m": found_m.reshape(-1, 14, 3),
-        "is_bridged": [False] * len(frames),
-    }
-    facts = {"kind": "motions", "sequence_ids": [name], "sequence_takes": ["hidden"]}
-    return put(store, "reconstruction", name, {"motions": columns}, facts)
 
 
 def test_a_detector_is_scored_by_who_is_who_and_by_errors_beside_those_of_noise_alone(store: Store) -> None:
     """Joints are a tenth too far from the mid-hip with noise alone, and three tenths with the detector."""
     takes, (_, video), poses = put_truth(store, "op14_m")
     table = store.read(video.ref, "annotations")
-    columns = {name: table[name] for name in (column.name for column in table.table.columns)}
+    columns = {column.name: table[column.name] for column in table.table.columns}
     name = "film hidden"
     seen_columns = columns | {"sequence_id": [f"{name}.detector"] * table.num_rows, "time_s": table["frame"] / RATE_HZ}
     plain_columns = columns | {"time_s": 3.0 * table["frame"] / RATE_HZ}
-    camera = {
-        one.name: store.read(video.ref, "cameras")[one.name] for one in store.read(video.ref, "cameras").table.columns
-    }
+    cameras = store.read(video.ref, "cameras")
+    camera = {column.name: cameras[column.name] for column in cameras.table.columns}
     settled = {"sequence_id": f"{name}.detector", "num_people": 4, "num_true_people": 2, "num_identity_switches": 3}
     facts = dict(video.facts)
     detected = put(
@@ -284,7 +251,7 @@ def test_a_detector_is_scored_by_who_is_who_and_by_errors_beside_those_of_noise_
     true = poses["hidden"][1:] @ TURNS[name].T
     hip = true[:, :, OP14.indices(["left_hip", "right_hip"])].mean(axis=2, keepdims=True)
     motions = [
-        put_followed(store, f"{name}{end}", hip + factor * (true - hip))
+        put_motions(store, f"{name}{end}", {"fit": hip + factor * (true - hip)})
         for end, factor in ((".detector", 1.3), ("", 1.1))
     ]
     inputs = StageInputs({"motions": motions, "annotations": [detected, plain], "poses": takes}, seed=1)
@@ -347,12 +314,13 @@ def test_a_held_out_take_is_seen_and_reconstructed_from_every_direction_in_each_
     rows, facts = take_rows("held", 2, 24, rate_hz=24.0, is_held_out=True)
     people = np.stack([walk(24, seed=7), walk(24, seed=8)])
     take = put(store, "ingest", "held", {"poses": rows | {"op14_m": people.reshape(-1, 14, 3)}}, facts)
-    poses = np.concatenate([centre_and_face(walk(40, seed=seed)).poses_m for seed in (1, 2)])
-    known = random_columns("projections", 80) | {"op14_m": poses, "is_sequence_start": np.arange(80) % 40 == 0}
+    database = database_of([walk(40, seed=seed) for seed in (1, 2)], rate_hz=24.0)
+    known = random_columns("projections", 80) | {"op14_m": database.poses_m}
+    known["is_sequence_start"] = database.is_sequence_start
     known["body22_unitquat"] = np.tile([0.0, 0.0, 0.0, 1.0], (80, 22, 1))
-    told = {"kind": "projections", "rate_hz": 24.0, "pitches_deg": [12.0], "num_poses": 80}
+    facts_of_parts = {"kind": "projections", "rate_hz": 24.0, "pitches_deg": [12.0], "num_poses": 80}
     parts = [
-        put(store, "projections", name, {"projections": known}, told | {"takes": takes})
+        put(store, "projections", name, {"projections": known}, facts_of_parts | {"takes": takes})
         for name, takes in (("other", ["other"]), ("same", ["held"]))
     ]
     inputs = StageInputs({"poses": [take], "projections": parts}, seed=1)
@@ -362,7 +330,7 @@ def test_a_held_out_take_is_seen_and_reconstructed_from_every_direction_in_each_
     assert [shard.name for shard in planned] == [f"held-{number}" for number in range(len(CONDITIONS))]
     assert [shard.refs("parts") for shard in planned] == [(parts[0].ref,)] * len(CONDITIONS), "none knows the take"
     result = unseen_views.PARALLEL_VIEWS.compute(planned[0], store)
-    searcher = Searcher.of(Database(poses.astype(np.float32), np.arange(80) % 40 == 0, rate_hz=24.0))
+    searcher = Searcher.of(database)
     found = values_of(result)
     assert {split for _, _, split, _ in found} == {CONDITIONS[0].name}
     for person in (0, 1):
@@ -370,8 +338,9 @@ def test_a_held_out_take_is_seen_and_reconstructed_from_every_direction_in_each_
         motion = UnseenMotion(label, people[person].astype(np.float32).astype(np.float64), 24.0, (0.0, 75.0))
         draw = partial(stream, 1, "evaluation", "parallel_views", "held", person, 0)
         scores, _ = unseen_views.unseen_view_scores(searcher, motion, CONDITIONS[0], draw)
-        for one in scores:
-            assert found[one.metric, one.method, one.split, one.item] == pytest.approx(one.value, abs=1e-4), one
+        for score in scores:
+            wanted = pytest.approx(score.value, abs=1e-4)
+            assert found[score.metric, score.method, score.split, score.item] == wanted, score
     items = result.items[""]
     assert (set(items.takes), len(items.takes)) == ({"held"}, 2 * 2 * 24)
     assert result.notes[0].startswith(f"held against {80 * 30:,} projections; ")
@@ -380,9 +349,7 @@ def test_a_held_out_take_is_seen_and_reconstructed_from_every_direction_in_each_
     assert json.loads(pictures[0].content)["num_frames"] > 10
     (table,) = unseen_views.PARALLEL_VIEWS.tabulate({"parallel_views": result.scores})
     item = f"held person 0, {unseen_views._ALL_VIEWS}"
-    fit = next(
-        one.value for one in result.scores if (one.metric, one.method, one.item) == ("error_root_kept", "fit", item)
-    )
+    fit = found["error_root_kept", "fit", CONDITIONS[0].name, item]
     row = dict(zip(table.headings, table.rows[0], strict=True))
     assert (row["motion"], row["paper"], row["VNect"]) == (item, *unseen_views._STATED[unseen_views._ALL_VIEWS])
     assert row[in_words("fit")] == format_value(fit, "m")

@@ -1,4 +1,4 @@
-"""Models of motion from a class, and the other architectures of the published one: what each cannot know, and laws."""
+"""Models of motion from a class, and other architectures of the published model: laws, and what each ignores."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_a_scale_is_a_class_and_one_that_was_not_trained_on_is_the_nearest(kind:
 
 
 @KINDS
-def test_a_class_model_answers_any_length_comes_back_from_its_arrays_and_refuses_others(kind: type[WindowVae]) -> None:
+def test_a_class_model_answers_any_length_and_refuses_arrays_of_others(kind: type[WindowVae]) -> None:
     model = _model(kind)
     for count in (1, 2, 21, 48):
         source = TAKE.take_frames(slice(0, count))
@@ -65,7 +65,6 @@ def test_a_class_model_answers_any_length_comes_back_from_its_arrays_and_refuses
         motion = model.predict(request)
         assert motion.shape == source.positions_m.shape
         assert np.isfinite(motion).all()
-        np.testing.assert_array_equal(load_model(describe_model(model), model_arrays(model)).predict(request), motion)
     with pytest.raises(InputError, match="weights of another topology or size"):
         load_model(describe_model(model), model_arrays(model) | {"known_scales": np.ones((2, 22), np.float32)})
     with pytest.raises(InputError, match="scales, or some that are not positive"):
@@ -88,8 +87,9 @@ def test_motion_that_is_not_a_number_ends_training_and_names_its_take(kind: type
 
 def test_the_divergence_of_frames_from_their_prior_is_that_of_normals() -> None:
     found, prior = torch.tensor([[0.3, -1.0, 0.5, -0.2]]), torch.tensor([[0.1, 0.2, -0.3, 0.4]])
-    one, other = (torch.distributions.Normal(x[:, :2], torch.exp(0.5 * x[:, 2:])) for x in (found, prior))
-    torch.testing.assert_close(_divergence_between(found, prior), torch.distributions.kl_divergence(one, other).sum())
+    normal, prior_normal = (torch.distributions.Normal(x[:, :2], torch.exp(0.5 * x[:, 2:])) for x in (found, prior))
+    wanted = torch.distributions.kl_divergence(normal, prior_normal).sum()
+    torch.testing.assert_close(_divergence_between(found, prior), wanted)
     torch.testing.assert_close(_divergence_between(found, torch.zeros(1, 4)), divergence(found))
 
 
@@ -103,19 +103,19 @@ def _displacement(architecture: str, template: np.ndarray, scale: float = 1.0) -
 
 def test_other_architectures_do_without_what_they_are_named_for() -> None:
     template = TAKE.positions_m[:22:2]
-    other = template + np.array([0.0, 0.1])[:, None, None]  # B elsewhere
+    moved_b = template + np.array([0.0, 0.1])[:, None, None]  # B elsewhere
     moved = {name: _displacement(name, template) for name in ("published", "scales_for_a", "without_ends")}
-    assert np.abs(_displacement("published", other)[:, 0] - moved["published"][:, 0]).max() > 1e-4
-    np.testing.assert_array_equal(_displacement("scales_for_a", other)[:, 0], moved["scales_for_a"][:, 0])
+    assert np.abs(_displacement("published", moved_b)[:, 0] - moved["published"][:, 0]).max() > 1e-4
+    np.testing.assert_array_equal(_displacement("scales_for_a", moved_b)[:, 0], moved["scales_for_a"][:, 0])
     assert np.abs(_displacement("scales_for_a", template, 2.0)[:, 0] - moved["scales_for_a"][:, 0]).max() > 1e-4
-    assert np.abs(_displacement("published", other)[:, 1] - moved["published"][:, 1]).max() > 1e-4
-    np.testing.assert_array_equal(_displacement("without_ends", other)[:, 1], moved["without_ends"][:, 1])
-    # What is said is the motion itself, whatever the template between its ends.
+    assert np.abs(_displacement("published", moved_b)[:, 1] - moved["published"][:, 1]).max() > 1e-4
+    np.testing.assert_array_equal(_displacement("without_ends", moved_b)[:, 1], moved["without_ends"][:, 1])
+    # The output is the motion itself, whatever the template between its ends.
     middle = template.copy()
     middle[1:-1] += 0.2
-    said = [_displacement("whole_motion", one) + one for one in (template, middle)]
+    said = [_displacement("whole_motion", motion) + motion for motion in (template, middle)]
     np.testing.assert_allclose(said[0][:, 1], said[1][:, 1], atol=1e-6)
-    # A network that is told the time can say something else in every frame.
+    # A network that has the time as input can give something else in every frame.
     assert np.ptp(_displacement("st_gcn_decoders", template), axis=0).max() > 1e-3
 
 
@@ -126,22 +126,21 @@ def test_every_architecture_is_trained_segment_by_segment(architecture: str) -> 
     items = [TrainingItem("B", request, TAKE.positions_m + 0.1)]
     state: Arrays = {}
     for segment in range(2):
-        told = Training(lambda: iter(items), settings=settings, segment=segment, state=state)
-        trained = PaperCvaeModel.train(told)
+        trained = PaperCvaeModel.train(Training(lambda: iter(items), settings=settings, segment=segment, state=state))
         state = trained.state
     loaded = load_model(describe_model(trained.model), model_arrays(trained.model))
     np.testing.assert_array_equal(loaded.predict(request), trained.model.predict(request))
 
 
-def test_networks_keep_no_part_of_them_on_another_device_than_their_parameters() -> None:
+def test_networks_keep_everything_on_the_device_of_their_parameters() -> None:
     frames = 11
     networks = [(_model(ActorLikeModel).network, 3), (_model(Action2MotionLikeModel).network, 3)]
     for architecture in ("published", "st_gcn_decoders"):
         networks.append((InteractionCvae(SMALL.model_copy(update={"architecture": architecture})), 22))
-    for one, size in networks:
+    for network, size in networks:
         shapes = {"template_m": (2, frames, 2, 22, 3), "motion_m": (2, frames, 2, 22, 3), "condition": (2, size)}
-        shapes |= {f"noise_{name}": (2, *shape) for name, shape in one.noise_shapes(frames).items()}
+        shapes |= {f"noise_{name}": (2, *shape) for name, shape in network.noise_shapes(frames).items()}
         batch = {name: torch.empty(shape, device="meta") for name, shape in shapes.items()}
-        assert one.to("meta").loss(batch).device.type == "meta"
+        assert network.to("meta").loss(batch).device.type == "meta"
     predictor = MotionPredictor(132, np.random.default_rng(0)).to("meta")
     assert predictor.loss({"clips": torch.empty((2, 30, 132), device="meta")}).device.type == "meta"

@@ -1,4 +1,4 @@
-"""The classifier of clips and the predictor of motion: what they cannot see, what they learn, that they repeat it."""
+"""The classifier of clips and the predictor of motion: invariance, learning and repeatability."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -75,14 +75,14 @@ def _classes() -> dict[str, np.ndarray]:
 def test_the_classifier_learns_to_tell_two_kinds_apart_and_always_the_same() -> None:
     settings = ClassifierSettings(num_steps=24)
     clips = _classes()
-    one, other = (train_classifier(clips, settings, np.random.default_rng(3)) for _ in range(2))
-    assert one.accuracy(clips) == 100.0
-    assert one.accuracy({"near": clips["far"], "far": clips["far"][:0]}) == 0.0
-    assert one.digest == other.digest
-    features = one.features(clips["far"])
+    classifier, same = (train_classifier(clips, settings, np.random.default_rng(3)) for _ in range(2))
+    assert classifier.accuracy(clips) == 100.0
+    assert classifier.accuracy({"near": clips["far"], "far": clips["far"][:0]}) == 0.0
+    assert classifier.digest == same.digest
+    features = classifier.features(clips["far"])
     assert features.shape == (len(clips["far"]), 32)
-    np.testing.assert_array_equal(features, other.features(clips["far"]))
-    assert train_classifier(clips, settings, np.random.default_rng(4)).digest != one.digest
+    np.testing.assert_array_equal(features, same.features(clips["far"]))
+    assert train_classifier(clips, settings, np.random.default_rng(4)).digest != classifier.digest
     with pytest.raises(InputError, match="needs two classes with clips of 2 s; found far 9"):
         train_classifier({"far": clips["far"]}, settings, np.random.default_rng(0))
 
@@ -98,9 +98,9 @@ def test_the_predictor_begins_with_the_last_pose_and_learns_to_do_better_on_unse
     first = train_predictor(train, settings, np.random.default_rng(0))
     np.testing.assert_allclose(first.predict(known), still, atol=1e-5)
     longer = PredictorSettings(num_steps=60)
-    one, other = (train_predictor(train, longer, np.random.default_rng(0)).predict(known) for _ in range(2))
-    np.testing.assert_array_equal(one, other)
-    assert joint_errors(one, true)[0].mean() < 0.9 * joint_errors(still, true)[0].mean()
+    predicted, again = (train_predictor(train, longer, np.random.default_rng(0)).predict(known) for _ in range(2))
+    np.testing.assert_array_equal(predicted, again)
+    assert joint_errors(predicted, true)[0].mean() < 0.9 * joint_errors(still, true)[0].mean()
     with pytest.raises(InputError, match="no clip of 3 s"):
         train_predictor(clips[:0], settings, np.random.default_rng(0))
 
@@ -127,7 +127,7 @@ def test_effects_are_paired_by_seed_and_have_their_interval() -> None:
     effects = ("+2.00 (+2.00 to +2.00)", "+1.00 (+1.00 to +1.00)", "-1.00 (-1.00 to -1.00)")
     assert table.rows == (("80/10/10", *spreads, *effects),)
     errors = np.tile(np.arange(1.0, 11.0), (3, 1))
-    made = [
+    errors_by_seed = [
         score
         for seed in range(5)
         for motion, factor in (("hug", 1.0), ("waltz", 3.0))
@@ -136,7 +136,7 @@ def test_effects_are_paired_by_seed_and_have_their_interval() -> None:
             factor * more * errors, errors, method, split="80/10/10", item=f"{motion}, seed {seed}"
         )
     ]
-    jme, ame, by_motion, _ = prediction_tables(made)
+    jme, ame, by_motion, _ = prediction_tables(errors_by_seed)
     assert jme.rows[0][1:] == ("11.00 ± 0.00", "22.00 ± 0.00", "33.00 ± 0.00", "-11.00 (-11.00 to -11.00)")
     assert ame.rows[0][-1] == "+0.00 (+0.00 to +0.00)"
     assert by_motion.rows[0][:2] == ("hug", "2.00 / - / 4.00 / 6.00")
@@ -150,10 +150,10 @@ MODEL = {"model": "sampler", "split": "cross_interaction", "artifact": "0", "seg
 
 
 def _study(store: Store, seen: set[str], models: Sequence[str] = ("sampler",)) -> StageInputs:
-    """Return takes of 3.0 s, each at a height of its own, three variants of the solver and two of each model."""
-    first, *others = sorted(seen)
-    split = {"train": {one: ["x"] for one in others}, "validation": {first: ["x"]}, "test": {}, "shares_takes": False}
-    facts: dict[str, Any] = {"kind": "model", "class": "paper_cvae", **MODEL, **split}
+    """Return takes of 3.0 s at different heights, with three variants of the solver and two of each model."""
+    first, *learned = sorted(seen)
+    split: dict[str, Any] = {"train": {take: ["x"] for take in learned}, "validation": {first: ["x"]}, "test": {}}
+    facts: dict[str, Any] = {"kind": "model", "class": "paper_cvae", **MODEL, **split, "shares_takes": False}
     found = {
         "models": [
             put(store, "training", name, {"models": random_columns("models", 1)}, {**facts, "model": name})
@@ -166,15 +166,15 @@ def _study(store: Store, seen: set[str], models: Sequence[str] = ("sampler",)) -
         poses, facts = take_rows(take_id, 2, FRAMES, rate_hz=10.0, body22_m=people)
         takes = random_columns("takes", 2) | {"person": np.arange(2), "body22_rest_m": np.zeros((2, 22, 3))}
         duet = {"name": take_id.partition("_")[0]}
-        made = put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts, duet=duet)
-        found.setdefault("poses", []).append(made)
+        take = put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts, duet=duet)
+        found.setdefault("poses", []).append(take)
         for by, count, origin in (("solver", 3, None), *((name, 2, {**MODEL, "model": name}) for name in models)):
             names = [f"{by}-{index}" for index in range(count)]
             frames, scale = np.full(count, FRAMES), [np.ones(44)] * count
-            own = {"variant_id": names, "bone_scale": scale, "num_frames": frames, "verdict": ["pass"] * count}
+            quality = {"variant_id": names, "bone_scale": scale, "num_frames": frames, "verdict": ["pass"] * count}
             body = {"body22_m": np.tile(motion.reshape(-1, 22, 3), (count, 1, 1))}
             rows = random_columns("variants", 2 * FRAMES * count) | body
-            tables = {"variants": rows, "variant_quality": random_columns("variant_quality", count) | own}
+            tables = {"variants": rows, "variant_quality": random_columns("variant_quality", count) | quality}
             facts = {"kind": "variants", "take_id": take_id, "num_persons": 2, "num_frames": FRAMES, "origin": origin}
             facts["told"] = {"contacts": [], "variants": names}
             found.setdefault("variants", []).append(put(store, "augmentation", f"{take_id} {by}", tables, facts))
@@ -182,13 +182,13 @@ def _study(store: Store, seen: set[str], models: Sequence[str] = ("sampler",)) -
 
 
 def _shards(inputs: StageInputs, topic: Topic, **more: object) -> list[Shard]:
-    told = {"num_downstream_seeds": 3, "predictor": {"num_steps": 2}, **more}
-    return topic.plan(inputs, evaluation_stage([topic]).parameters.model_validate(told))
+    settings = {"num_downstream_seeds": 3, "predictor": {"num_steps": 2}, **more}
+    return topic.plan(inputs, evaluation_stage([topic]).parameters.model_validate(settings))
 
 
 def _takes_of(clips: Mapping[str, np.ndarray]) -> list[str]:
     """Return the take of every clip, by its height."""
-    return [TAKES[int(clip[..., 1].mean() / 10.0)] for own in clips.values() for clip in own]
+    return [TAKES[int(clip[..., 1].mean() / 10.0)] for clips_of_kind in clips.values() for clip in clips_of_kind]
 
 
 def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_either(
@@ -211,7 +211,7 @@ def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_
         by_solver, by_model, without = learned
         assert sorted(by_solver) == sorted(by_model), "as many variants of the same takes"
         assert len(by_solver) == 3 * len(without), "two beside each"
-        tested = {take for one in asked for take in one}
+        tested = {take for takes in asked for take in takes}
         assert tested.isdisjoint({*by_solver, *without} | SEEN)
         assert {take.partition("_")[0] for take in tested} == {"push", "waltz"}
         drawn.add(frozenset(tested))
@@ -242,9 +242,9 @@ def test_several_models_learn_beside_each_other_and_roles_are_classes_of_their_o
     for clips in trained:
         for kind in kinds:
             np.testing.assert_allclose(exchange_people(clips[f"{kind}, exchanged"]), clips[kind], atol=1e-9)
-    made = {score.method: score.value for score in result.scores if score.metric == "accuracy"}
-    assert set(made) == {BY_SOLVER, BY_MODEL, "augmented_by_other", WITHOUT, LARGEST}
-    assert made[BY_SOLVER] == 4.0, "two interactions that no model saw, each in two roles"
+    accuracy = {score.method: score.value for score in result.scores if score.metric == "accuracy"}
+    assert set(accuracy) == {BY_SOLVER, BY_MODEL, "augmented_by_other", WITHOUT, LARGEST}
+    assert accuracy[BY_SOLVER] == 4.0, "two interactions that no model saw, each in two roles"
     (table, _) = recognition_tables(result.scores)
     assert "augmented by other - augmented by the solver (95 %)" in table.headings
     assert "sampler@cross_interaction, other@cross_interaction" in result.notes[0]
@@ -261,7 +261,7 @@ def test_few_takes_are_learned_from_and_the_same_takes_tested_on_whatever_their_
         assert len(train) == 4 * int(options.shares)
         sides.setdefault(options.seed, []).append({take.partition for take in test})
     assert [len(tests) for tests in sides.values()] == [2, 2, 2]
-    assert all(one == other for one, other in sides.values())
+    assert all(few == fewer for few, fewer in sides.values())
     scores = [
         Score("JME_mean", method, 1.0, "cm", split=number, item="hug, seed 0")
         for number in ("8", "1", "2")

@@ -1,4 +1,4 @@
-"""Networks of windows are alive: they learn what a few variants ask for, and layers that died are found."""
+"""Networks of windows learn a few variants by heart, and layers that died are found."""
 
 from collections.abc import Iterator
 from functools import cache
@@ -55,7 +55,7 @@ def model_of(name: str, **changes: Any) -> WindowVae:
 def train(
     model: WindowVae, errors: Iterator[float] | None = None, **segment: Any
 ) -> tuple[list[LogEntry], dict[str, Any]]:
-    """Train one segment on the variants, again and again; validation gives the next of these errors."""
+    """Train one segment on the variants; validation gives these errors, one after the other."""
     generator = np.random.default_rng(0)
 
     def draw() -> tuple[dict[str, Any], str]:
@@ -82,7 +82,7 @@ def test_a_network_learns_variants_by_heart_and_all_of_its_layers_stay_active(na
     moved = model.network.displacement(batch, is_posterior=name == "actor")  # of its z = 0 says little
     copied, error = (100.0 * np.linalg.norm(found, axis=-1).mean((0, 1, 3)) for found in (wanted, moved - wanted))
     assert (100.0 * moved.std(0).mean((0, 2, 3)) > 0.1).all()
-    active = [one.value for one in log if one.quantity.startswith(ACTIVITY)]
+    active = [entry.value for entry in log if entry.quantity.startswith(ACTIVITY)]
     assert len(active) > 0
     assert min(active) > 1.0
     # A of the published network sees B's motion but not its change, and needs far longer.
@@ -102,7 +102,7 @@ def test_a_layer_that_died_is_found_and_fails_the_verdict_of_the_training() -> N
     log = [LogEntry(1, f"{ACTIVITY}{name}", value) for name, value in found.items()]
     verdict = _judge("net", Trained(model, log), lambda: iter(()))
     assert (verdict.level, "g_gru2.out.1 0 %" in verdict.reason) == (Level.FAIL, True)
-    alive = _judge("net", Trained(model, [one for one in log if one.value > 1.0]), lambda: iter(()))
+    alive = _judge("net", Trained(model, [entry for entry in log if entry.value > 1.0]), lambda: iter(()))
     assert alive.level is Level.WARN
 
 
@@ -121,7 +121,7 @@ def test_training_ends_where_validation_falls_no_more_and_leaves_the_best_parame
     stops = []
     for segment in range(6):
         log, state = train(model, errors, segment=segment, state=state)
-        stops.append("train_loss" not in {one.quantity for one in log})
+        stops.append("train_loss" not in {entry.quantity for entry in log})
         if segment == 1:
             best = {key: values.clone() for key, values in model.network.state_dict().items()}
     assert stops == [False, False, False, False, True, True]

@@ -23,9 +23,10 @@ TAKE = Source(swaying_pair(40), 30.0, "sway")
 
 
 def items() -> list[TrainingItem]:
+    variants = Augmenter(TAKE).solve(uniform_variations([0.8, 1.2], ["B"]))
     return [
-        TrainingItem(one.variation.variant_id, VariantRequest("sway", TAKE, one.bone_scale), one.positions_m)
-        for one in Augmenter(TAKE).solve(uniform_variations([0.8, 1.2], ["B"]))
+        TrainingItem(v.variation.variant_id, VariantRequest("sway", TAKE, v.bone_scale), v.positions_m)
+        for v in variants
     ]
 
 
@@ -39,17 +40,17 @@ def model() -> PaperCvaeModel:
 
 
 def test_one_seed_is_one_body_and_motion_and_another_is_another(model: PaperCvaeModel) -> None:
-    one, again, other = (sample_motion(model, TAKE, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.motion_m, again.motion_m)
-    assert np.abs(one.bone_scale[1] - other.bone_scale[1]).max() > 1e-6
-    assert np.abs(one.motion_m - other.motion_m).max() > 1e-6
-    np.testing.assert_array_equal(one.bone_scale[0], 1.0)
+    sample, again, another = (sample_motion(model, TAKE, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(sample.motion_m, again.motion_m)
+    assert np.abs(sample.bone_scale[1] - another.bone_scale[1]).max() > 1e-6
+    assert np.abs(sample.motion_m - another.motion_m).max() > 1e-6
+    np.testing.assert_array_equal(sample.bone_scale[0], 1.0)
 
 
 def test_given_scales_are_kept_and_needed_where_a_model_draws_none(model: PaperCvaeModel) -> None:
     scale = np.full(22, 0.9)
-    for one in (model, NaiveFkModel()):
-        found = sample_motion(one, TAKE, np.random.default_rng(0), scale=scale)
+    for sampler in (model, NaiveFkModel()):
+        found = sample_motion(sampler, TAKE, np.random.default_rng(0), scale=scale)
         np.testing.assert_allclose(found.bone_scale[1], scale, atol=1e-12)
     lengths = bone_lengths(BODY22, found.motion_m[:, 1])
     np.testing.assert_allclose(lengths[:, 1:], np.broadcast_to(0.9 * TAKE.lengths_m[1, 1:], (40, 21)), atol=1e-9)
@@ -68,8 +69,8 @@ def test_b_goes_through_its_key_frames_has_their_bones_and_a_follows_b(model: Pa
     np.testing.assert_allclose(found.bone_scale[1, moving], 1.1, atol=1e-2)
     plain = sample_motion(model, TAKE, np.random.default_rng(3), scale=found.bone_scale[1])
     assert np.abs(found.motion_m[:, 0] - plain.motion_m[:, 0]).max() > 1e-6
-    own = KeyFrames(frames, plain.motion_m[frames, 1])
-    again = sample_motion(model, TAKE, np.random.default_rng(3), scale=found.bone_scale[1], key_frames=own)
+    same_keys = KeyFrames(frames, plain.motion_m[frames, 1])
+    again = sample_motion(model, TAKE, np.random.default_rng(3), scale=found.bone_scale[1], key_frames=same_keys)
     np.testing.assert_allclose(again.motion_m, plain.motion_m, atol=1e-5)  # the network is in single precision
 
 

@@ -1,4 +1,4 @@
-"""Models of the 18 joints that ExPI has: items follow from body22, all models that may train and answer, none mixes."""
+"""Models of ExPI's 18 joints: items follow from body22, and weights of different skeletons do not mix."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,18 +42,18 @@ SMALL = {
 
 
 def _items(scales: tuple[float, ...] = (0.8, 0.9, 1.1)) -> list[TrainingItem]:
-    """Return variants on body22, plain kinematics in place of a solver."""
+    """Return variants on body22 by plain kinematics."""
     found = []
-    for one in uniform_variations(scales, ["B"]):
-        motion = reference_motion(TAKE, complete_scales(TAKE, one.bone_scale[None]))[0]
-        found.append(TrainingItem(one.variant_id, VariantRequest("sway", TAKE, one.bone_scale), motion))
+    for variation in uniform_variations(scales, ["B"]):
+        motion = reference_motion(TAKE, complete_scales(TAKE, variation.bone_scale[None]))[0]
+        found.append(TrainingItem(variation.variant_id, VariantRequest("sway", TAKE, variation.bone_scale), motion))
     return found
 
 
 def _trained(kind: type[VariantModel], *, is_mapped: bool) -> VariantModel:
     items = [mapped_item(item, EXPI18_OF_BODY22, MAPPED) if is_mapped else item for item in _items()]
-    told = SMALL.get(kind.name)
-    settings = kind.config_kind.model_validate({"window_s": 1.0, "num_steps": 2} | told) if told else None
+    sizes = SMALL.get(kind.name)
+    settings = kind.config_kind.model_validate({"window_s": 1.0, "num_steps": 2} | sizes) if sizes else None
     return kind.train(Training(lambda: iter(items), settings=settings)).model
 
 
@@ -66,11 +66,11 @@ def test_a_mapped_item_has_the_scales_and_the_motion_that_its_bones_have() -> No
     lengths = [np.median(bone_lengths(EXPI18, motion), axis=0) for motion in (item.motion_m, MAPPED.positions_m)]
     np.testing.assert_allclose(lengths[0][1], 0.8 * lengths[1][1], atol=1e-9)
     assert item.request.source.floor_m == TAKE.floor_m
-    # One leg longer: the bones that it is made of, and no other, are.
+    # If one leg is longer, so are its bones, and no others.
     scale = np.ones((2, 22))
     scale[0, BODY22.indices(["left_knee"])] = 1.2
-    one = replace(_items((0.8,))[0], request=VariantRequest("sway", TAKE, scale))
-    found = mapped_item(one, EXPI18_OF_BODY22, MAPPED).request.bone_scale[0]
+    longer = replace(_items((0.8,))[0], request=VariantRequest("sway", TAKE, scale))
+    found = mapped_item(longer, EXPI18_OF_BODY22, MAPPED).request.bone_scale[0]
     assert [EXPI18.joint_names[row] for row in np.flatnonzero(np.abs(found - 1.0) > 1e-9)] == ["left_knee"]
     assert found[EXPI18.index("left_knee")] == pytest.approx(1.2)
 
@@ -91,7 +91,7 @@ def test_people_on_18_joints_touch_where_they_do_on_22_and_contacts_drift_as_far
 
 @pytest.mark.parametrize("kind", FREE, ids=lambda kind: kind.name)
 def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(kind: type[VariantModel]) -> None:
-    model, other = _trained(kind, is_mapped=True), _trained(kind, is_mapped=False)
+    model, wide = _trained(kind, is_mapped=True), _trained(kind, is_mapped=False)
     asked = mapped_item(_items((0.85,))[0], EXPI18_OF_BODY22, MAPPED).request
     motion = model.predict(asked)
     assert motion.shape == (30, 2, 18, 3)
@@ -104,15 +104,15 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
     assert {"E_r", "E_b", "PWD"} <= {name for name, value in found.items() if np.isfinite(value)}
     if model.skeleton is None:
         return
-    assert (model.skeleton, other.skeleton) == (EXPI18, BODY22)
+    assert (model.skeleton, wide.skeleton) == (EXPI18, BODY22)
     with pytest.raises(InputError, match=f"{kind.name}: weights of another topology: it is of expi18, 18 joints"):
         model.predict(_items((0.85,))[0].request)
     with pytest.raises(InputError, match="weights of another topology: it is of body22, 22 joints"):
-        other.predict(asked)
-    # Arrays of both mixed, and a file that says it is of the other.
+        wide.predict(asked)
+    # Mixed arrays, and a file that states the other skeleton, are refused.
     key = "mix" if kind.name == "ridge_scale" else "known_scales"
     with pytest.raises(InputError, match="weights of another topology"):
-        load_model(describe_model(other), {**model_arrays(other), key: model_arrays(model)[key]})
+        load_model(describe_model(wide), {**model_arrays(wide), key: model_arrays(model)[key]})
     data = write_weights(Weights(model))
     assert read_weights(data, "own").model.skeleton is EXPI18
     said = b",".join(name.encode() for name in EXPI18.joint_names)
@@ -124,21 +124,21 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
 def test_a_study_says_which_models_may_be_of_18_joints_and_keys_of_body22_stay() -> None:
     with pytest.raises(InputError, match="'ridge_adapted' is of body22 alone; of expi18 can be copy, naive_fk"):
         TrainingParameters.model_validate({"skeleton": "expi18", "models": ["copy", "ridge_adapted"]}).named()
-    told = {"split": "random", "test_takes": (), "name": "copy", "model": "copy", "segment": 0}
-    told["settings"] = MODELS["copy"].settings()
-    assert "skeleton" not in TrainingSegmentParameters.model_validate(told).model_dump(mode="json")
-    other = TrainingSegmentParameters.model_validate(told | {"skeleton": "expi18"})
-    assert other.model_dump(mode="json")["skeleton"] == "expi18"
+    keys = {"split": "random", "test_takes": (), "name": "copy", "model": "copy", "segment": 0}
+    keys["settings"] = MODELS["copy"].settings()
+    assert "skeleton" not in TrainingSegmentParameters.model_validate(keys).model_dump(mode="json")
+    narrow = TrainingSegmentParameters.model_validate(keys | {"skeleton": "expi18"})
+    assert narrow.model_dump(mode="json")["skeleton"] == "expi18"
 
 
 def test_models_of_18_joints_are_no_distributions_and_that_is_said(tmp_path: Path) -> None:
     store = Store(tmp_path)
     takes = [put_take(store, take_id) for take_id in ("hug", "judo")]
     model = put_model(store, CopyModel(), "random", takes)
-    other = replace(model, facts={**model.facts, "skeleton": "expi18"})
+    narrow = replace(model, facts={**model.facts, "skeleton": "expi18"})
     settings = LearnedSettings(num_realism_variants=2)
-    for models, planned in (([model, other], "all"), ([other], "other_skeleton"), ([], None)):
+    for models, planned in (([model, narrow], "all"), ([narrow], "other_skeleton"), ([], None)):
         shards = TOPIC.plan(StageInputs({"poses": takes, "models": models}, 0), settings)
         assert [shard.name for shard in shards] == [planned] * bool(models)
-    (shard,) = TOPIC.plan(StageInputs({"poses": takes, "models": [other]}, 0), settings)
+    (shard,) = TOPIC.plan(StageInputs({"poses": takes, "models": [narrow]}, 0), settings)
     assert TOPIC.compute(shard, store).notes == ["Skipped: the clip classifier works on body22, and no model does."]

@@ -1,4 +1,4 @@
-"""Trained models as files: they come back the same, and what is no model of ours is refused in a sentence."""
+"""Files of trained models: a round trip gives the same model, and other files are refused with one sentence."""
 
 import contextlib
 import json
@@ -31,7 +31,7 @@ WHAT = describe_model(MODEL).model_dump()
 
 
 def _forged(change: dict[str, np.ndarray], **said: object) -> bytes:
-    """Return the file with other arrays or other words in it."""
+    """Return the file with other arrays or other metadata."""
     words: dict[str, object] = {"description": WHAT, "joints": ",".join(BODY22.joint_names), "takes": {}} | said
     return bytes(save(load(DATA) | change, metadata={"pasdedeux": json.dumps(words)}))
 

@@ -34,7 +34,7 @@ FAULTS = (
     Fault("the Jacobian of bones is dropped", "pasdedeux/sampling/densities/density.py",
           "log_measure = self.chart.log_measure(parameters)", "log_measure = 0.0",
           "statistical/test_metropolis_hastings.py::"
-          "test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_ball"),
+          "test_under_a_flat_target_bones_point_everywhere_alike_and_people_fill_a_ball"),
     Fault("a step ignores the ratio of its proposal", "pasdedeux/sampling/chain.py",
           "level = uncorrected - proposed.log_ratio", "level = uncorrected",
           "statistical/test_metropolis_hastings.py::test_moments_of_analytic_targets"),
@@ -52,7 +52,7 @@ FAULTS = (
           "unit/sampling/test_sampling_density.py::test_prior_of_a_standing_pair_is_one_and_falls_with_penetration_and_bad_angles"),
     Fault("one good view is enough though every view shall count", "pasdedeux/sampling/densities/annotated.py",
           "dissimilarity_m[np.isfinite(dissimilarity_m)].mean()", "dissimilarity_m[np.isfinite(dissimilarity_m)].min()",
-          "unit/sampling/test_sampling_likelihood.py::test_a_likelihood_that_every_view_has_a_say_in_is_its_definition"),
+          "unit/sampling/test_sampling_likelihood.py::test_the_likelihood_over_every_view_agrees_with_its_definition"),
     Fault("an annotation is lifted once for each of its views", "pasdedeux/sampling/growth.py",
           "self.is_done |= self.annotation == self.annotation[entry]", "self.is_done[entry] = True",
           "unit/sampling/test_growth.py::test_an_annotation_is_lifted_once_whatever_the_number_of_its_views"),
@@ -65,13 +65,13 @@ FAULTS = (
           "contract/test_sampling_stages.py::test_every_draw_keeps_the_annotation_it_is_nearest_to"),
     Fault("the quick estimate of a likelihood loses candidates", "pasdedeux/sampling/densities/interaction_kernels.py",
           "MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52", "MIN_RATIO, MIN_OWN_RATIO = 1.4, 1.4",
-          "unit/sampling/test_sampling_likelihood.py::test_estimates_leave_the_same_best_as_comparing_all"),
+          "unit/sampling/test_sampling_likelihood.py::test_quick_estimates_find_the_same_best_as_comparing_all"),
     Fault("what is expected of a lifted pair rests on its own draw", "tasks/rows/lifted_rows.py",
           "without=drawn)", "without=())", "contract/test_lifting_stage.py::"
           "test_draws_of_the_same_image_make_nobody_surer_however_many_agree"),
     Fault("draws that shall not count do", "pasdedeux/completion/retrieval.py",
           "np.isin(near.draw, without)", "np.isin(near.draw, [])",
-          "unit/sampling/test_completion.py::test_draws_that_do_not_count_might_as_well_not_be_there"),
+          "unit/sampling/test_completion.py::test_excluded_draws_do_not_change_the_result"),
     Fault("chains that do not mix pass", "pasdedeux/sampling/diagnostics.py", "MAX_RHAT = 1.1", "MAX_RHAT = 1e9",
           "unit/sampling/test_chain_diagnostics.py::test_chains_that_each_stay_in_a_place_of_their_own_do_not_mix"),
     # What is learned from and what is evaluated on
@@ -234,7 +234,7 @@ FAULTS = (
     Fault("a variant worse than plain kinematics is kept", "pasdedeux/augmentation/window_solver.py",
           "is_worse = ~(energy <= energy_fk)", "is_worse = np.isinf(energy)",
           "unit/augmentation/test_augmentation_solvers.py::"
-          "test_where_bulk_has_nothing_to_offer_plain_forward_kinematics_stays_and_fails"),
+          "test_plain_forward_kinematics_replaces_a_bulk_solution_that_is_not_finite_and_fails"),
     Fault("feet are not locked", "pasdedeux/reconstruction/cleanup.py",
           "move += share[:, None] * moved", "move += 0.0 * moved",
           "unit/reconstruction/test_projection_cleanup.py::test_planted_feet_stand_still_and_the_error_does_not_rise"),

@@ -1,4 +1,4 @@
-"""Intervals of expected errors for families that nothing was fitted to: they hold there, and do not look at them."""
+"""Intervals of expected errors hold for families that nothing was fitted to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def simulated(rng: np.random.Generator, between: float) -> tuple[np.ndarray, np.
     return evidence, np.exp(evidence @ [-2.5, 0.3, -0.2] + left), family
 
 
-def test_intervals_hold_in_families_that_are_left_out_and_those_of_one_scatter_for_all_do_not() -> None:
+def test_intervals_cover_left_out_families_and_intervals_of_one_common_scatter_do_not() -> None:
     rng = np.random.default_rng(5)
     for between in (0.0, 0.25):
         held, of_one = [], []
@@ -35,7 +35,7 @@ def test_intervals_hold_in_families_that_are_left_out_and_those_of_one_scatter_f
         assert between == 0.0 or np.mean(of_one) < np.mean(held) - 0.03
 
 
-def test_what_is_expected_of_a_family_depends_on_the_errors_of_the_others_alone() -> None:
+def test_expected_errors_of_a_family_depend_on_the_errors_of_other_families_alone() -> None:
     evidence, true, family = simulated(np.random.default_rng(6), 0.2)
     halves = [family < 4, family >= 4]
     before = outside(evidence, true, family, halves)
@@ -44,6 +44,6 @@ def test_what_is_expected_of_a_family_depends_on_the_errors_of_the_others_alone(
     assert (before[0] < before[2]).all()
     after = outside(evidence, np.where(family < 4, 2.0 * true, true), family, halves)
     np.testing.assert_array_equal(after[:, family < 4], before[:, family < 4])
-    # Errors of twice the size let expect twice the size, with the same interval.
+    # Doubled errors double the expected errors, with the same interval.
     np.testing.assert_allclose(after[:, family >= 4], 2.0 * before[:, family >= 4])
     assert INTERVAL[1] - INTERVAL[0] == 0.8

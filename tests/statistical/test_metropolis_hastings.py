@@ -1,4 +1,4 @@
-"""The chain samples what it is told to: known moments, detailed balance, and a broken proposal that is caught.
+"""Chains sample their target: known moments, detailed balance, and broken proposals that are caught.
 
 Every comparison is gated on the effective sample size: the tolerance is a number of standard errors of that size.
 """
@@ -77,20 +77,30 @@ def multiplicative(scale: float) -> Propose:
     return propose
 
 
-def sample(log_density: LogDensity, propose: Propose, start: float, *, num_draws: int = 4000) -> np.ndarray:
+def sample(
+    log_density: LogDensity,
+    propose: Propose,
+    start: np.ndarray,
+    *,
+    num_chains: int = 4,
+    num_draws: int = 4000,
+    num_first: int = 133,
+    thin: int = 3,
+    seed: int = 7,
+) -> np.ndarray:
+    """Return draws (chain, draw, parameter); the first ones are dropped."""
     chains = []
-    for chain in range(4):
-        rng = np.random.default_rng([7, chain])
-        x = np.full(1, start)
-        state = ChainState(x, log_density(x, -np.inf))
-        state, _ = run_segment(rng, state, log_density, propose, num_draws=200, thin=2)
-        state, segment = run_segment(rng, state, log_density, propose, num_draws=num_draws, thin=3)
+    for chain in range(num_chains):
+        rng = np.random.default_rng([seed, chain])
+        state = ChainState(start, log_density(start, -np.inf))
+        state, _ = run_segment(rng, state, log_density, propose, num_draws=num_first, thin=thin)
+        _, segment = run_segment(rng, state, log_density, propose, num_draws=num_draws, thin=thin)
         chains.append(segment.parameters)
     return np.stack(chains)
 
 
 def worst_error(values: np.ndarray, moments: tuple[float, float]) -> float:
-    """Standard errors by which the first two moments miss, given enough independent draws."""
+    """Return the largest error of the first two moments, in standard errors; there must be enough independent draws."""
     worst = 0.0
     for power, expected in zip((1, 2), moments, strict=True):
         powered = values**power
@@ -123,7 +133,7 @@ def test_moments_of_analytic_targets(
     log_density: LogDensity, propose: Propose, start: float, moments: tuple[float, float] | None
 ) -> None:
     expected = moments or moments_by_quadrature(log_density, -3.0, 3.0)
-    values = sample(log_density, propose, start)
+    values = sample(log_density, propose, np.full(1, start))
     assert worst_error(values, expected) < NUM_ERRORS
     assert rhat(values)[0] < 1.02
 
@@ -134,7 +144,7 @@ def test_an_asymmetric_proposal_without_its_correction_is_caught() -> None:
     def broken(rng: np.random.Generator, state: ChainState) -> Proposed:
         return Proposed(right(rng, state).parameters)
 
-    assert worst_error(sample(log_gamma, broken, 3.0), (3.0, 12.0)) > 2 * NUM_ERRORS
+    assert worst_error(sample(log_gamma, broken, np.full(1, 3.0)), (3.0, 12.0)) > 2 * NUM_ERRORS
 
 
 def test_a_drifting_proposal_is_caught() -> None:
@@ -142,7 +152,7 @@ def test_a_drifting_proposal_is_caught() -> None:
         x = state.parameters
         return Proposed(x + 0.3 + 2.4 * rng.standard_normal(x.shape))
 
-    assert worst_error(sample(log_normal, drifting, 0.0), (0.0, 1.0)) > 2 * NUM_ERRORS
+    assert worst_error(sample(log_normal, drifting, np.zeros(1)), (0.0, 1.0)) > 2 * NUM_ERRORS
 
 
 def test_flow_between_states_is_in_detailed_balance() -> None:
@@ -165,7 +175,7 @@ def test_flow_between_states_is_in_detailed_balance() -> None:
         state = following
     for i in range(5):
         j = (i + 1) % 5
-        # Passages one way and back alternate, up to winding round the ring: their difference is far below Poisson.
+        # Passages back and forth alternate, except for loops round the ring, so their difference is far below Poisson.
         assert abs(flow[i, j] - flow[j, i]) < NUM_ERRORS * np.sqrt(flow[i, j] + flow[j, i])
     np.testing.assert_allclose(flow.sum(axis=1) / flow.sum(), np.exp(weights) / np.exp(weights).sum(), atol=0.02)
 
@@ -193,15 +203,7 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
     def log_density(parameters: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(-0.5 * (parameters[POSITION_INDICES] ** 2).sum() / 0.2**2))
 
-    chains = []
-    for chain in range(3):
-        rng = np.random.default_rng([11, chain])
-        start = chart.seed_parameters()
-        state = ChainState(start, log_density(start, -np.inf))
-        state, _ = run_segment(rng, state, log_density, propose, num_draws=100, thin=5)
-        state, segment = run_segment(rng, state, log_density, propose, num_draws=1500, thin=10)
-        chains.append(segment.parameters)
-    draws = np.stack(chains)
+    draws = sample(log_density, propose, chart.seed_parameters(), num_chains=3, num_draws=1500, num_first=50, thin=10)
     angle = np.linalg.norm(draws[..., ROTATION_INDICES[0]], axis=-1)
     position = draws[..., POSITION_INDICES[0, 0]]
     for values, expected in ((angle, np.pi / 2 + 2 / np.pi), (position, 0.0), (position**2, 0.04)):
@@ -210,24 +212,18 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
         assert abs(values.mean() - expected) < NUM_ERRORS * values.std() / np.sqrt(ess)
 
 
-def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_ball(
+def test_under_a_flat_target_bones_point_everywhere_alike_and_people_fill_a_ball(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A target flat over poses: cosines of bones to the seed's uniform on -1..1, cubes of the distance on 0..bound."""
+    """Cosines between bones and the seed's bones are uniform on -1..1, and cubes of the distance on 0..bound."""
     chart, bound_m = PairChart(standing_pair()), 1.5
     monkeypatch.setattr("pasdedeux.sampling.densities.density.MAX_APART_M", bound_m)
     anything = PriorSettings(alpha=0.0, sigma_p_m=1e6, max_invalid_angles=2 * NUM_ANGLES)
     prior = PhysicalPrior(chart, JointLimits.published(), anything)
     target = PairDensity(chart, prior, PriorOnly())
     propose = GaussianBlocks(StepSizes(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4)).propose
-    chains = []
-    for chain in range(3):
-        rng = np.random.default_rng([13, chain])
-        state = ChainState(chart.seed_parameters(), target.seed_evaluation)
-        state, _ = run_segment(rng, state, target, propose, num_draws=40, thin=20)
-        state, segment = run_segment(rng, state, target, propose, num_draws=500, thin=20)
-        chains.append(segment.parameters)
-    draws = np.stack(chains)
+    start = chart.seed_parameters()
+    draws = sample(target, propose, start, num_chains=3, num_draws=500, num_first=40, thin=20, seed=13)
     turns = draws.reshape(*draws.shape[:-1], 2, NUM_PER_PERSON)[..., 6:].reshape(*draws.shape[:-1], 32, 3)
     apart = np.linalg.norm(np.diff(draws[..., POSITION_INDICES], axis=-2), axis=-1) / bound_m
     shares = np.concatenate([0.5 + 0.5 * np.cos(np.linalg.norm(turns[..., :2], axis=-1)), apart**3], axis=-1)

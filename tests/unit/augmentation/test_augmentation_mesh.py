@@ -1,3 +1,5 @@
+"""The interaction mesh, and the weights of floor, stance and time."""
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -73,7 +75,7 @@ def test_planted_feet_stand_and_raised_feet_do_not() -> None:
     assert np.abs(np.diff(weights, axis=0)).max() < 0.2
 
 
-def test_who_is_held_up_has_no_floor_however_still_and_who_lies_has_it_under_the_back() -> None:
+def test_a_still_person_who_is_held_up_has_no_floor_and_a_lying_one_has_it_under_the_back() -> None:
     positions = swaying_pair(30)
     source = Source(positions + np.array([[[0.0] * 3], [[0.0, 0.5, 0.0]]]), 30.0)
     assert source.floor_m == pytest.approx(Source(positions, 30.0).floor_m, abs=0.005)
@@ -87,7 +89,7 @@ def test_who_is_held_up_has_no_floor_however_still_and_who_lies_has_it_under_the
     assert weights[:, BODY22.indices(["pelvis", "spine2", "spine3"])].min() > 0.5
 
 
-def test_a_given_floor_is_taken() -> None:
+def test_a_stated_floor_is_used() -> None:
     source = Source(swaying_pair(10), 30.0)
     (variant,) = Augmenter(source, AugmentationSettings(floor_m=-0.4)).solve(uniform_variations([0.75], ["A"]))
     (found,) = Augmenter(source).solve(uniform_variations([0.75], ["A"]))
@@ -103,7 +105,7 @@ def test_a_stance_lasts_until_somebody_lifts_the_foot_and_part_of_it_ends_with_p
     np.testing.assert_allclose(lasting_s(np.array([[1.0], [0.5], [1.0]]), 1.0)[:, 0], [2.0, 1.5, 2.0])
 
 
-def test_a_users_contact_is_of_frames_and_joints_that_there_are() -> None:
+def test_a_stated_contact_needs_existing_frames_and_joints() -> None:
     contact = UserContact(joint_a="head", joint_b="head", stop_frame=11)
     with pytest.raises(InputError, match="frames within 0 to 10"):
         Augmenter(Source(swaying_pair(10), 30.0), user_contacts=[contact])
@@ -125,7 +127,7 @@ def test_the_reference_motion_has_the_new_lengths_and_at_scale_one_is_the_source
     np.testing.assert_allclose(motions[1][:, 0, toes, 1], source.positions_m[:, 0, toes, 1], atol=1e-3)
 
 
-def test_bad_sources_are_refused_in_words() -> None:
+def test_bad_sources_are_refused_with_the_reason() -> None:
     good = swaying_pair(5)
     with pytest.raises(InputError, match="no frames"):
         Source(good[:0], 30.0)
@@ -143,7 +145,7 @@ def test_bad_sources_are_refused_in_words() -> None:
         Source(far, 30.0)
 
 
-def test_terms_of_time_weigh_alike_at_any_frame_rate_and_as_stated_at_30_frames_a_second() -> None:
+def test_the_weight_of_smoothness_is_as_stated_at_30_hz_and_scales_with_the_frame_rate() -> None:
     people = swaying_pair(12)
     usual, double = (build_problem(Source(people, rate_hz)) for rate_hz in (30.0, 60.0))
     assert usual.smoothness == weights.SMOOTHNESS

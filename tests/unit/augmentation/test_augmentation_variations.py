@@ -1,3 +1,5 @@
+"""Variations: names, scales of bones, and refused values."""
+
 import numpy as np
 import pytest
 
@@ -21,15 +23,13 @@ def test_a_uniform_variation_is_named_after_person_kind_and_scale() -> None:
     assert variation.uniform_scale(1) == 1.0
 
 
-def test_letters_name_those_who_are_there_and_each_variation_is_made_once() -> None:
+def test_letters_name_people_who_are_there_and_each_variation_is_made_once() -> None:
     settings = VariationSettings(kinds=("uniform", "bones"), scales=(0.9,), persons=("A", "CA", "B", "all"))
-    made = {count: make_variations(settings, count) for count in (1, 2, 3)}
-    names = {
-        count: [v.variant_id.split("-")[0] for v in found if "uniform" in v.variant_id] for count, found in made.items()
-    }
-    assert names == {1: ["A"], 2: ["A", "B", "AB"], 3: ["A", "AC", "B", "ABC"]}
-    assert all(v.bone_scale.shape == (count, 22) for count, found in made.items() for v in found)
-    (both,) = (v for v in made[3] if v.variant_id == "AC-uniform-0.90")
+    for count, persons in ((1, ["A"]), (2, ["A", "B", "AB"]), (3, ["A", "AC", "B", "ABC"])):
+        variations = make_variations(settings, count)
+        assert [v.variant_id.split("-")[0] for v in variations if "uniform" in v.variant_id] == persons
+        assert all(v.bone_scale.shape == (count, 22) for v in variations)
+    (both,) = (v for v in variations if v.variant_id == "AC-uniform-0.90")
     assert [both.uniform_scale(person) for person in range(3)] == [0.9, 1.0, 0.9]
 
 
@@ -54,10 +54,10 @@ def test_longer_legs_raise_the_root() -> None:
     assert arms.bone_scale[0, BODY22.root] == 1.0
 
 
-def test_what_was_varied_by_itself_is_found_again_in_the_scales() -> None:
+def test_scale_axes_finds_what_was_varied_by_itself() -> None:
     def axes(*parts: list[Variation]) -> dict[str, list[float]]:
-        scales = np.stack([one.bone_scale for part in parts for one in part])
-        return {label: own.tolist() for label, own in scale_axes(scales).items()}
+        scales = np.stack([variation.bone_scale for part in parts for variation in part])
+        return {label: values.tolist() for label, values in scale_axes(scales).items()}
 
     assert axes(uniform_variations([0.8, 1.2], ["A", "B"])) == {
         "person A": [0.8, 1.2, 1, 1],
@@ -68,7 +68,7 @@ def test_what_was_varied_by_itself_is_found_again_in_the_scales() -> None:
     assert groups["B arms"] == [1, 1, 0.9, 1, 1, 1]
     bones = axes(bone_variations([0.9], ["A"]))
     assert len(bones) == len(bone_variations([0.9], ["A"])), "left and right together"
-    assert all(sorted(own)[:2] == [0.9, 1.0] for own in bones.values()), "one at a time"
+    assert all(sorted(values)[:2] == [0.9, 1.0] for values in bones.values()), "one at a time"
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf"), 1e6])

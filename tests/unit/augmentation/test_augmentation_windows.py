@@ -1,3 +1,5 @@
+"""Long takes are solved in windows without visible seams."""
+
 from itertools import pairwise
 
 import numpy as np
@@ -7,9 +9,6 @@ from hypothesis import strategies as st
 
 from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, UserContact, uniform_variations
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
-from pasdedeux.errors import InputError
-from pasdedeux.kinematics import bone_lengths
-from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
 
@@ -41,21 +40,21 @@ def test_seams_of_windows_cannot_be_found_by_jitter(monkeypatch: pytest.MonkeyPa
     assert len(cut) == 3
     for before, after in pairwise(cut):
         is_seam[after.start : before.stop] = True
-    for one, other in zip(whole, parts, strict=True):
+    for plain, blended in zip(whole, parts, strict=True):
         jitter_whole, jitter_parts = (
             np.sqrt((np.diff(variant.positions_m, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=(1, 2)))[is_seam[3:]]
-            for variant in (one, other)
+            for variant in (plain, blended)
         )
         # Coarse frames of another window are other frames, which leaves micrometres, and jitter is less than that where
         # a sway turns round.
         assert (jitter_parts <= 1.15 * jitter_whole + 6e-6).all()
         assert np.sqrt((jitter_parts**2).mean() / (jitter_whole**2).mean()) < 1.02
-        np.testing.assert_allclose(other.positions_m, one.positions_m, atol=0.01)
-        assert np.linalg.norm(other.positions_m - one.positions_m, axis=-1).mean() < 0.001
-        assert other.quality.laplacian_error_m == pytest.approx(one.quality.laplacian_error_m, rel=0.02)
+        np.testing.assert_allclose(blended.positions_m, plain.positions_m, atol=0.01)
+        assert np.linalg.norm(blended.positions_m - plain.positions_m, axis=-1).mean() < 0.001
+        assert blended.quality.laplacian_error_m == pytest.approx(plain.quality.laplacian_error_m, rel=0.02)
 
 
-def test_windows_that_are_polished_agree_where_they_meet_and_bones_stay_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polished_windows_agree_where_they_meet_and_bones_stay_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     source = Source(swaying_pair(90, apart_m=0.5), 10.0)
     settings = AugmentationSettings(solver="polished")
     variations = uniform_variations([0.75, 1.25], ["A"])
@@ -63,11 +62,8 @@ def test_windows_that_are_polished_agree_where_they_meet_and_bones_stay_exact(mo
     monkeypatch.setattr("pasdedeux.augmentation.augment.LONGEST_S", 6.1)
     for variant, same in zip(Augmenter(source, settings).solve(variations), whole, strict=True):
         assert variant.solver == "polished"
-        wanted = source.lengths_m * variant.bone_scale
-        wanted[:, BODY22.root] = 0.0
-        lengths = bone_lengths(BODY22, variant.positions_m)
-        np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-9)
-        # Descents stop before they have quite settled, so unlike bulk's their seams can be seen; they may not be steps.
+        assert variant.quality.bone_error_m < 1e-9
+        # Descents stop before they converge, so their seams are visible, unlike those of the bulk solver, but no steps.
         assert variant.quality.jerk_ratio < 1.6 * same.quality.jerk_ratio
         assert variant.energy <= variant.energy_fk
 
@@ -77,8 +73,6 @@ def test_a_users_contact_is_cut_to_each_window() -> None:
     assert contact.within(20, 50) == contact.model_copy(update={"start_frame": 0, "stop_frame": 10})
     assert contact.within(5, 15) == contact.model_copy(update={"start_frame": 5, "stop_frame": 10})
     assert contact.within(30, 40) is None
-    with pytest.raises(InputError, match="frames within 0 to 20"):
-        Augmenter(Source(swaying_pair(20), 30.0), user_contacts=(contact,))
 
 
 def test_a_part_of_a_take_has_the_bones_and_the_floor_of_the_whole() -> None:

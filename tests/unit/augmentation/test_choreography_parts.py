@@ -117,7 +117,7 @@ def test_a_body_stands_as_tall_as_it_should_and_is_symmetric():
 
 
 def test_girths_are_at_least_those_of_the_capsule_model():
-    """So a duet that is free of penetration here is free of it there."""
+    """A duet that is free of penetration by these girths is free of it in the capsule model."""
     for name, radius in RADIUS_PER_HEIGHT.items():
         if name in BODY22.joint_names:
             assert CAPSULE_RADII[name.removeprefix("left_").removeprefix("right_")] >= radius, name

@@ -29,7 +29,7 @@ def gathered(num_incomplete: int = 0) -> GatheredPairs:
     return GatheredPairs(replace(pairs, points_m=points), np.ones(120), 0, np.full((120, 2), 0.01))
 
 
-def made(kind: type[AlignedLikelihood], annotated: GatheredPairs, **settings: object) -> AlignedLikelihood:
+def likelihood_of(kind: type[AlignedLikelihood], annotated: GatheredPairs, **settings: object) -> AlignedLikelihood:
     quick = AnnotationSettings.model_validate({"num_views": 5, "num_candidates": 60, "sigma_l": 0.02, **settings})
     return kind(quick, np.random.default_rng(3), annotated)
 
@@ -37,30 +37,30 @@ def made(kind: type[AlignedLikelihood], annotated: GatheredPairs, **settings: ob
 @KINDS
 @pytest.mark.parametrize("pooling", list(Pooling))
 def test_the_search_agrees_with_the_definition(kind: type[AlignedLikelihood], pooling: Pooling) -> None:
-    likelihood = made(kind, gathered(), pooling=pooling)
+    likelihood = likelihood_of(kind, gathered(), pooling=pooling)
     for pair in PAIRS:
         assert likelihood.log_likelihood(pair) == pytest.approx(likelihood.plain(pair), rel=1e-9)
 
 
 @KINDS
 def test_annotations_that_lack_a_joint_are_never_the_nearest(kind: type[AlignedLikelihood]) -> None:
-    likelihood = made(kind, gathered(100))
+    likelihood = likelihood_of(kind, gathered(100))
     entries = np.concatenate([likelihood.nearest(pair).entry for pair in PAIRS])
     assert entries.min() >= 100
     with pytest.raises(InputError, match="shows all joints"):
-        made(kind, gathered(120))
+        likelihood_of(kind, gathered(120))
 
 
 @KINDS
 def test_the_scale_makes_neighbours_as_far_apart_as_in_interaction_coordinates(kind: type[AlignedLikelihood]) -> None:
     annotated = gathered()
-    likelihood = made(kind, annotated)
+    likelihood = likelihood_of(kind, annotated)
     points = annotated.pairs.points_m.reshape(-1, 34, 2)
     scale = matched_scale(likelihood, annotated.pairs)
-    own = [float(likelihood.dissimilarity(points[at], points[at + 1][None])[0]) for at in range(60)]
+    dissimilarity = [float(likelihood.dissimilarity(points[at], points[at + 1][None])[0]) for at in range(60)]
     interaction = [interaction_dissimilarity(points[at], points[at + 1]) for at in range(60)]
-    # Other pairs than the nearest, so only roughly.
-    assert 0.5 < scale * np.median(own) / np.median(interaction) < 2.0
+    # The pairs are not the nearest ones, so the scale is only approximate.
+    assert 0.5 < scale * np.median(dissimilarity) / np.median(interaction) < 2.0
 
 
 def test_shape_contexts_of_an_image_do_not_change_when_it_is_turned_and_differ_from_another() -> None:

@@ -1,4 +1,4 @@
-"""The bandwidth that annotations left out in turn ask for."""
+"""The bandwidth that fits annotations left out in turn."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def gathered(pairs: AnnotatedPairs, moment: np.ndarray | None = None) -> Gathere
 )
 def test_no_other_bandwidth_makes_left_out_annotations_likelier(found: list[tuple[float, int]], factor: float) -> None:
     distance, joints = np.array(found).T
-    own = LeaveOneOut(distance, 2.0 * joints - 3.0)
-    assert own.log_likelihood(own.sigma_l) > own.log_likelihood(factor * own.sigma_l)
+    left_out = LeaveOneOut(distance, 2.0 * joints - 3.0)
+    assert left_out.log_likelihood(left_out.sigma_l) > left_out.log_likelihood(factor * left_out.sigma_l)
 
 
 def test_the_bandwidth_is_that_of_annotations_with_such_neighbours() -> None:
-    """Points round centres by eq. 9's own kernel (a length of Gamma(D), any direction), as d_I in D numbers."""
+    """Points are drawn round centres by the kernel of eq. 9: any direction, and a length of Gamma(D)."""
     rng, freedom, sigma_l = np.random.default_rng(2), 65.0, 0.03
     lengths = rng.gamma(freedom, 2.0 * sigma_l**2, size=400)
     assert abs(LeaveOneOut(lengths, np.full(400, freedom)).sigma_l / sigma_l - 1.0) < 0.02
@@ -43,7 +43,7 @@ def test_the_bandwidth_is_that_of_annotations_with_such_neighbours() -> None:
 def test_annotations_that_lie_closer_together_ask_for_a_smaller_bandwidth() -> None:
     near, far = (gathered(annotated(spread)).leave_one_out for spread in (0.05, 0.3))
     assert 0.0 < near.sigma_l < 0.7 * far.sigma_l
-    # Far apart as these are, the published bandwidth finds them hardly possible.
+    # The published bandwidth finds annotations that are so far apart hardly possible.
     assert far.log_likelihood(far.sigma_l) > far.log_likelihood(PUBLISHED_SIGMA_L) + 50.0
 
 
@@ -70,9 +70,10 @@ def test_no_frame_of_a_video_is_compared_with_one_just_before_or_after_it() -> N
 
 def test_where_nothing_can_be_left_out_the_published_bandwidth_stays() -> None:
     pairs = annotated(0.2, 3)
-    one = gathered(AnnotatedPairs(pairs.points_m[:1], pairs.directions[:1], np.zeros(1, dtype=np.int64))).leave_one_out
-    assert one.sigma_l == PUBLISHED_SIGMA_L
-    assert np.isnan(one.log_likelihood(0.01))
+    first = AnnotatedPairs(pairs.points_m[:1], pairs.directions[:1], np.zeros(1, dtype=np.int64))
+    alone = gathered(first).leave_one_out
+    assert alone.sigma_l == PUBLISHED_SIGMA_L
+    assert np.isnan(alone.log_likelihood(0.01))
     same = (np.repeat(values[:1], 4, axis=0) for values in (pairs.points_m, pairs.directions))
     alike = leave_one_out(*same, SAME_MOMENT * np.arange(4))
     assert len(alike.nearest_m) == 4
@@ -86,6 +87,6 @@ def test_joints_that_are_not_seen_do_not_count() -> None:
     found = leave_one_out(
         points, np.repeat([[0.0, 0.0, 1.0]], len(points), axis=0), SAME_MOMENT * np.arange(len(points))
     )
-    # Of two images what one of them lacks says nothing of either.
+    # Joints that one of two images lacks do not count for either.
     assert (found.freedom[::2] == 59.0).all()
     assert set(found.freedom[1::2]) == {65.0, 59.0}

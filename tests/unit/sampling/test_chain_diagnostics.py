@@ -1,4 +1,4 @@
-"""What is said of chains: verdicts, and figures that cannot be had."""
+"""Diagnostics of chains: effective sample size, R-hat and verdicts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_draws_that_follow_each_other_count_as_fewer_and_those_that_alternate_as
     np.testing.assert_allclose(rhat(values[:1]), 1.0, atol=2e-2)
 
 
-def test_chains_that_are_apart_are_told_and_what_stands_still_or_is_too_short_is_not_known() -> None:
+def test_rhat_and_ess_find_chains_that_are_apart_and_are_nan_for_constant_or_short_ones() -> None:
     values = np.random.default_rng(4).normal(size=(2, 200, 3))
     values[1, :, 0] += 3.0
     values[..., 2] = 7.0
@@ -58,19 +58,20 @@ def test_chains_that_are_apart_are_told_and_what_stands_still_or_is_too_short_is
 
 
 def test_each_figure_of_a_chain_is_that_of_its_own_draws_in_its_unit() -> None:
-    """Draws that only grow, by 1 % and by 2 % of the first a draw: scaled about its middle nothing turns or shifts."""
+    """Each draw is larger than the one before by 1 % or 2 % of the first, about the middle: nothing turns."""
     first = standing_pair() - standing_pair().mean(axis=(0, 1))
     size_m = np.linalg.norm(first, axis=-1).mean()
     pairs = np.stack([[(1.0 + rate * draw) * first for draw in range(8)] for rate in (0.01, 0.02)])
     log_density = np.array([[0.0, 1, 2, 3, 4, 5, 6, 7], [-8.0] * 8])
     accepted = np.array([[1, 2, 3, 4, 4, 3, 2, 1], [1, 0, 0, 0, 0, 0, 0, 1]])
     found = diagnose(pairs, log_density, accepted, thin=4, log_ceiling=6.0, log_seed=-1.5, sigma_l=0.02)
-    figures = [(one.travelled_m, one.acceptance_rate, one.log_density_mean, one.ceiling_share) for one in found]
+    names = ("travelled_m", "acceptance_rate", "log_density_mean", "ceiling_share")
+    figures = [[getattr(chain, name) for name in names] for chain in found]
     np.testing.assert_allclose(figures, [(0.07 * size_m, 20 / 32, 3.5, 0.25), (0.14 * size_m, 2 / 32, -8.0, 0.0)])
-    assert {(one.num_draws, one.log_density_first, one.sigma_l) for one in found} == {(8, -1.5, 0.02)}
+    assert {(chain.num_draws, chain.log_density_first, chain.sigma_l) for chain in found} == {(8, -1.5, 0.02)}
 
 
-def test_a_chain_that_is_often_in_the_flat_top_left_the_range_of_its_seed() -> None:
+def test_a_chain_that_is_often_in_the_flat_top_is_warned_of() -> None:
     many = report(np.where(np.arange(200) < 200 * MAX_AT_CEILING + 1, 5.0, 0.0)).verdict
     assert many.level is Level.WARN
     assert "10% of the draws lie above the seed's density range" in many.reason
@@ -81,7 +82,7 @@ def test_a_chain_that_is_often_in_the_flat_top_left_the_range_of_its_seed() -> N
 
 
 def test_a_chain_of_which_one_hand_walks_away_does_not_mix_and_its_neighbour_has_a_size_of_its_own() -> None:
-    """Every draw the hand is a little farther off than the one before: hardly one independent draw."""
+    """The hand moves farther away with every draw, so there is hardly one independent draw."""
     pairs = random_pairs(np.random.default_rng(3), 1000).reshape(2, 500, 2, 17, 3)
     wrist = PAIR17.index("left_wrist")
     pairs[1, :, 0, wrist] = pairs[1, :, 1, PAIR17.index("neck")] + np.linspace(0.1, 3.0, 500)[:, None] * [0.0, 0.0, 1.0]
@@ -128,7 +129,7 @@ def test_a_chain_that_never_moved_has_no_effective_sample_size() -> None:
         diagnose(np.empty((0, 8, 2, 17, 3)), np.empty((0, 8)), np.empty((0, 8)), thin=1, log_ceiling=1.0)
 
 
-def test_what_is_watched_does_not_change_when_the_pair_moves_rigidly() -> None:
+def test_monitored_quantities_do_not_change_when_the_pair_moves_rigidly() -> None:
     pairs = random_pairs(np.random.default_rng(2), 5)
     np.testing.assert_allclose(invariants(pairs @ yaw_rotmat(0.7).T + 2.0), invariants(pairs), atol=1e-9)
 

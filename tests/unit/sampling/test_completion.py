@@ -1,4 +1,4 @@
-"""What draws are good for: retrieval, the final fit, occluded joints, in-betweens, and the baselines."""
+"""Uses of draws: retrieval, the final fit, occluded joints, in-betweens, and the baselines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pasdedeux.completion.baselines import lift_by_ik, resolve_penetration, samp
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.expected_error import expected_error, expected_over_time
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
-from pasdedeux.completion.in_betweens import fill_between, straight_between
+from pasdedeux.completion.in_betweens import fill_between
 from pasdedeux.completion.neighbours import nearest_by_interaction, nearest_rigid
 from pasdedeux.completion.occlusion import blend_onto, complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
@@ -41,7 +41,7 @@ def test_the_index_gives_what_the_definition_gives(seed: int, hidden: float, num
     if np.isfinite(image).all(axis=-1).sum() < 4:
         return
     fast, plain = INDEX.nearest(image, views, count=5), plain_nearest(PAIRS, image, views, count=5)
-    # Distances are those of draws stored in single precision: a micrometre; ties may swap.
+    # Draws are stored in single precision, so distances are off by a micrometre, and ties may swap.
     np.testing.assert_allclose(fast.distance_m, plain.distance_m, atol=1e-5)
     apart = np.diff(plain.distance_m, prepend=-1.0, append=9.0)
     is_clear = (apart[:-1] > 2e-5) & (apart[1:] > 2e-5)
@@ -54,8 +54,8 @@ def test_a_pair_seen_from_its_view_is_found_and_placed_where_it_stood() -> None:
     found = retrieve(INDEX, image, view[None])
     assert found.nearest.draw[0] == 123
     np.testing.assert_allclose(found.pairs_m[0][..., :2], image, atol=1e-5)
-    aligned = align_rigid(PAIRS[123].reshape(-1, 3), found.pairs_m[0].reshape(-1, 3)).apply(PAIRS[123].reshape(-1, 3))
-    np.testing.assert_allclose(found.pairs_m[0].reshape(-1, 3), aligned, atol=1e-5)
+    points, true_points = found.pairs_m[0].reshape(-1, 3), PAIRS[123].reshape(-1, 3)
+    np.testing.assert_allclose(points, align_rigid(true_points, points).apply(true_points), atol=1e-5)
     np.testing.assert_allclose(found.weight.sum(), 1.0)
     assert image_residual(found.pairs_m[0], image) < 1e-5
 
@@ -67,29 +67,23 @@ def test_the_view_that_fits_is_chosen_among_hypotheses() -> None:
     assert (found.draw[0], found.view[0]) == (5, 2)
 
 
-def test_draws_that_do_not_count_might_as_well_not_be_there() -> None:
+def test_excluded_draws_do_not_change_the_result() -> None:
     view = np.array([[0.9, 0.1, 0.4], [0.3, 0.2, 1.0]])
     image = project_pair(PAIRS[5], view[0])
-    own = retrieve(INDEX, image, view).nearest.draw[[0, 1, 4]]
-    found, plain = (
-        retrieve(INDEX, image, view, without=own),
-        retrieve(DrawIndex(np.delete(PAIRS, own, axis=0)), image, view),
-    )
+    excluded = retrieve(INDEX, image, view).nearest.draw[[0, 1, 4]]
+    found = retrieve(INDEX, image, view, without=excluded)
+    plain = retrieve(DrawIndex(np.delete(PAIRS, excluded, axis=0)), image, view)
     np.testing.assert_allclose(found.mean_m, plain.mean_m, atol=1e-9)
     few = DrawIndex(PAIRS[:3])
-    np.testing.assert_array_equal(
-        retrieve(few, image, view, without=[0, 1, 2]).mean_m, retrieve(few, image, view).mean_m
-    )
+    found, plain = (retrieve(few, image, view, without=excluded) for excluded in ([0, 1, 2], []))
+    np.testing.assert_array_equal(found.mean_m, plain.mean_m)
 
 
-def test_an_image_of_three_joints_is_refused() -> None:
+def test_an_image_of_three_joints_and_an_index_without_draws_are_refused() -> None:
     image = np.full((2, 17, 2), np.nan)
     image[0, :3] = 0.0
     with pytest.raises(InputError, match="3 joints"):
         INDEX.nearest(image, np.array([[0.0, 0.0, 1.0]]))
-
-
-def test_an_index_needs_draws() -> None:
     with pytest.raises(InputError, match="at least one"):
         DrawIndex(PAIRS[:0])
 
@@ -137,29 +131,26 @@ def test_the_nearest_draw_in_3d_is_that_of_the_definition() -> None:
 def test_ranking_all_draws_gives_the_nearest_in_interaction_coordinates() -> None:
     few, pair = PAIRS[:40], PAIRS[50]
     found = nearest_by_interaction(few, pair, count=3, num_ranked=40)
-    every = [interaction_dissimilarity(one.reshape(-1, 3), pair.reshape(-1, 3)) for one in few]
+    every = [interaction_dissimilarity(draw.reshape(-1, 3), pair.reshape(-1, 3)) for draw in few]
     assert found.draw.tolist() == np.argsort(every)[:3].tolist()
 
 
 def test_a_hidden_wrist_is_completed_better_than_by_the_mean_pair() -> None:
     rng = np.random.default_rng(3)
     errors = []
+    mean_pair_m = PAIRS.mean(axis=0).reshape(-1, 3)
     for pair in random_pairs(rng, 8, spread_rad=0.3):
         seen = pair.copy()
         seen[0, WRIST] = np.nan
         done = complete_pair(seen, PAIRS, num_nearest=20, num_ranked=40)
-        mean = align_rigid(PAIRS.mean(axis=0).reshape(-1, 3), pair.reshape(-1, 3)).apply(
-            PAIRS.mean(axis=0).reshape(-1, 3)
-        )
-        errors.append(
-            [np.linalg.norm(done.fitted_m[0, WRIST] - pair[0, WRIST]), np.linalg.norm(mean[WRIST] - pair[0, WRIST])]
-        )
+        mean_m = align_rigid(mean_pair_m, pair.reshape(-1, 3)).apply(mean_pair_m)
+        errors.append([np.linalg.norm(wrist - pair[0, WRIST]) for wrist in (done.fitted_m[0, WRIST], mean_m[WRIST])])
         is_visible = np.isfinite(seen)
         np.testing.assert_array_equal(done.pair_m[is_visible], pair[is_visible])
         expected = bone_lengths(PAIR17, pair)
         np.testing.assert_allclose(bone_lengths(PAIR17, done.fitted_m)[:, 1:], expected[:, 1:], atol=1e-9)
-    ours, mean_pair = np.mean(errors, axis=0)
-    assert ours < mean_pair
+    completed_m, by_mean_m = np.mean(errors, axis=0)
+    assert completed_m < by_mean_m
 
 
 def test_blending_moves_hidden_joints_with_the_visible_ones() -> None:
@@ -181,15 +172,9 @@ def test_in_betweens_keep_bone_lengths_and_start_near_the_ends() -> None:
     between = fill_between(first, last, 5, PAIRS[:300])
     lengths = bone_lengths(PAIR17, np.stack([first, last])).mean(axis=0)
     np.testing.assert_allclose(bone_lengths(PAIR17, between)[:, :, 1:], np.tile(lengths[:, 1:], (5, 1, 1)), atol=1e-9)
-    steps = np.linalg.norm(np.diff(np.concatenate([first[None], between, last[None]]), axis=0), axis=-1).mean(
-        axis=(1, 2)
-    )
+    motion = np.concatenate([first[None], between, last[None]])
+    steps = np.linalg.norm(np.diff(motion, axis=0), axis=-1).mean(axis=(1, 2))
     assert steps.max() < 3.0 * steps.min()
-
-
-def test_the_straight_line_is_even_in_time() -> None:
-    line = straight_between(PAIRS[0], PAIRS[1], 3)
-    np.testing.assert_allclose(line[1], 0.5 * (PAIRS[0] + PAIRS[1]))
 
 
 def test_lifting_with_ik_ends_in_range_and_out_of_each_other() -> None:
@@ -221,28 +206,28 @@ def test_naive_samples_keep_bones_and_the_nearest_is_the_nearest() -> None:
 
 @given(scale=st.floats(0.1, 10.0), seed=st.integers(0, 1000))
 @settings(deadline=None, max_examples=20)
-def test_an_expected_error_is_a_length_and_knows_no_place(scale: float, seed: int) -> None:
+def test_an_expected_error_scales_with_the_pair_and_does_not_depend_on_its_place(scale: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     lifted, mean = PAIRS[rng.integers(len(PAIRS), size=2)]
     image = lifted[..., :2].copy()
     image[rng.random((2, 17)) < 0.3] = np.nan
-    one = expected_error(image, mean, lifted, has_own_draw=False)
-    assert one.low_m < one.value_m < one.high_m
+    expected = expected_error(image, mean, lifted, has_own_draw=False)
+    assert expected.low_m < expected.value_m < expected.high_m
     moved = expected_error(scale * image + 3.0, scale * mean + 1.0, scale * lifted + 1.0, has_own_draw=False)
-    assert moved.value_m == pytest.approx(scale * one.value_m)
-    assert expected_error(image, 0.5 * (lifted + mean), lifted, has_own_draw=False).value_m < one.value_m
-    # A draw of the very image makes the pair better than the other draws say.
-    own = expected_error(image, mean, lifted, has_own_draw=True)
-    assert own.value_m < one.value_m
-    assert own.high_m / own.low_m == pytest.approx(one.high_m / one.low_m)
+    assert moved.value_m == pytest.approx(scale * expected.value_m)
+    assert expected_error(image, 0.5 * (lifted + mean), lifted, has_own_draw=False).value_m < expected.value_m
+    # A draw of the same image makes the pair better than other draws show.
+    with_own_draw = expected_error(image, mean, lifted, has_own_draw=True)
+    assert with_own_draw.value_m < expected.value_m
+    assert with_own_draw.high_m / with_own_draw.low_m == pytest.approx(expected.high_m / expected.low_m)
 
 
-def test_an_error_is_to_be_expected_also_of_draws_that_fit_and_nothing_seen_tells_none() -> None:
+def test_draws_that_fit_exactly_have_an_expected_error_and_an_unseen_pair_has_none() -> None:
     assert 0.02 < expected_error(PAIRS[0, ..., :2], PAIRS[0], PAIRS[0], has_own_draw=False).value_m < 0.1
     assert np.isnan(expected_error(np.full((2, 17, 2), np.nan), PAIRS[0], PAIRS[1], has_own_draw=False).value_m)
 
 
-def test_the_error_of_pairs_lifted_by_takes_follows_that_of_the_scene_and_no_draw() -> None:
+def test_the_expected_error_over_time_follows_that_of_the_scene() -> None:
     near, far = (expected_over_time(None, together_m) for together_m in (0.05, 0.2))
     assert far.value_m == pytest.approx(4.0 * near.value_m)
     assert far.low_m < far.value_m < far.high_m

@@ -96,7 +96,7 @@ def test_a_close_up_without_lower_legs_is_lifted_with_their_usual_proportion() -
         apparent_bone_lengths(points)
 
 
-def test_lifting_says_what_it_cannot_do() -> None:
+def test_lifting_refuses_what_it_cannot_do_with_the_reason() -> None:
     _, entries = annotated(5)
     assert len(lift_seeds(entries, LIMITS, BASIS, num_seeds=6).pairs_m) <= 5
     narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)

@@ -1,4 +1,4 @@
-"""One row for every way of exploring."""
+"""The table of all methods of exploration."""
 
 from __future__ import annotations
 

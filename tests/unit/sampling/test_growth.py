@@ -1,4 +1,4 @@
-"""Frontier growth: exact bones, honest distances, and pairs lifted close to the truth from one seed."""
+"""Frontier growth: exact bones, exact distances, and pairs lifted near the truth from one seed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_view_residuals_are_those_of_projected_images() -> None:
         across = np.ascontiguousarray(np.swapaxes(images, 1, 2))
         views = ViewedImages(across, np.ones((40, 34), dtype=bool), entries.directions)
         np.testing.assert_allclose(views.residuals(pair), expected, atol=1e-7)
-        # Over the joints that are seen: each image by itself.
+        # With hidden joints, each image is compared over its visible joints.
         part = with_hidden(np.random.default_rng(9), entries, 0.2)
         views = ViewedImages(np.swapaxes(part.centred_m, 1, 2), part.is_seen.reshape(-1, 34), part.directions)
         shown = part.points_m.reshape(-1, 34, 2)
@@ -72,7 +72,7 @@ def test_placed_bones_have_exact_lengths_and_return_what_fits_already() -> None:
     lengths = bone_lengths(PAIR17, pair)
     image, depth = np.ascontiguousarray(pair[..., :2]), np.ascontiguousarray(pair[..., 2])
     np.testing.assert_allclose(placed(image, depth, lengths, 0.2), pair, atol=1e-6)
-    # Also where the image and the depths fit nothing, and where a bone has no depth or no length at all.
+    # This holds also for images and depths that fit nothing, and for bones without depth or length.
     for noise in (0.1, 10.0):
         wild = placed(image + noise * rng.normal(size=image.shape), depth * 0.0, lengths, 0.2)
         np.testing.assert_allclose(bone_lengths(PAIR17, wild), lengths, atol=1e-9)
@@ -88,7 +88,7 @@ def test_no_other_direction_of_a_bone_fits_better(tightness: float) -> None:
     image = pair[..., :2] + 0.1 * rng.normal(size=(2, 17, 2))
     depth = pair[..., 2] + 0.1 * rng.normal(size=(2, 17))
     out = placed(image, depth, lengths, tightness)
-    others = normalise(rng.normal(size=(20_000, 3)))
+    directions = normalise(rng.normal(size=(20_000, 3)))
 
     def cost(bone: np.ndarray, person: int, joint: int) -> np.ndarray:
         parent = PARENTS[joint]
@@ -98,9 +98,9 @@ def test_no_other_direction_of_a_bone_fits_better(tightness: float) -> None:
 
     for person in range(2):
         for joint in range(1, 17):
-            own = out[person, joint] - out[person, PARENTS[joint]]
-            rivals = cost(others * lengths[person, joint], person, joint)
-            assert cost(own, person, joint) <= rivals.min() + 1e-9
+            placed_bone = out[person, joint] - out[person, PARENTS[joint]]
+            rivals = cost(directions * lengths[person, joint], person, joint)
+            assert cost(placed_bone, person, joint) <= rivals.min() + 1e-9
 
 
 def test_the_nearest_are_kept_in_order() -> None:
@@ -137,10 +137,10 @@ def test_hidden_joints_cost_little_and_bones_stay_exact() -> None:
     assert len(grown.entry) == len(part.points_m)
     lengths = np.broadcast_to(bone_lengths(PAIR17, pairs[0]), (len(grown.entry), 2, 17))
     np.testing.assert_allclose(bone_lengths(PAIR17, grown.pairs_m), lengths, atol=1e-6)
-    own = cartesian_dissimilarity(
+    error_m = cartesian_dissimilarity(
         grown.pairs_m.reshape(-1, 34, 3), pairs[part.annotation_index[grown.entry]].reshape(-1, 34, 3)
     )
-    assert np.median(own) < 1.15 * np.median(errors(whole, pairs))
+    assert np.median(error_m) < 1.15 * np.median(errors(whole, pairs))
 
 
 def test_a_joint_that_is_never_seen_is_kept_by_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Pairs between grown pairs: bodies of their parents, plausible, unlike each other, and the chart they are mixed in."""
+"""Pairs filled in between grown pairs: bodies of their parents, plausible, and unlike each other."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_parameters_of_a_pair_are_the_inverse_of_its_positions() -> None:
     pairs = random_pairs(rng, 20, spread_rad=0.5)
     chart = PairChart(pairs[0])
     parameters = chart.parameters_of(pairs[1:])
-    # Everybody is of one body here, so nothing is lost, whatever the pose and wherever the pair stands.
+    # All people have one body here, so nothing is lost, whatever the pose and place.
     assert np.abs(chart.positions(parameters) - pairs[1:]).max() < 2e-4
     np.testing.assert_allclose(chart.parameters_of(pairs[0]), chart.seed_parameters(), atol=1e-9)
     moved = pairs[1] @ yaw_rotmat(2.0).T + np.array([3.0, 1.0, -2.0])
@@ -62,7 +62,7 @@ def test_filled_pairs_lie_between_their_parents_and_are_plausible_and_new() -> N
     distance = cartesian_distances(filling.pairs_m, every)
     distance[np.arange(60), 40 + np.arange(60)] = np.inf
     assert distance.min() >= DUPLICATE_M
-    # Nearer to the pair that counts most than a pair of the set is to another on average.
+    # A filled pair is nearer to its main parent than pairs of the set are to each other on average.
     first = filling.parents[np.arange(60), filling.weights.argmax(axis=1)]
     near = cartesian_dissimilarity(filling.pairs_m.reshape(60, 34, 3), pairs[first].reshape(60, 34, 3))
     assert near.mean() < 0.6 * cartesian_distances(pairs, pairs)[~np.eye(40, dtype=bool)].mean()

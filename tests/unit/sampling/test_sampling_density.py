@@ -13,7 +13,7 @@ from pasdedeux.kinematics.rotations import multiply, normalise, rotate, rotmat_f
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
 from pasdedeux.sampling.chain import ChainState
-from pasdedeux.sampling.densities.density import MAX_APART_M, Evaluation, PairDensity, PriorOnly, TargetSettings
+from pasdedeux.sampling.densities.density import Evaluation, PairDensity, PriorOnly, TargetSettings
 from pasdedeux.sampling.densities.interaction import InteractionLikelihood
 from pasdedeux.sampling.parameters import (
     LENGTH_INDICES,
@@ -33,10 +33,12 @@ from tests.builders.poses import block_indices
 
 SEED = gauge_fix(standing_pair())
 LIMITS = JointLimits.published()
+CHART = PairChart(SEED)
+PRIOR = PhysicalPrior(CHART, LIMITS)
 
 
 def random_parameters(rng: np.random.Generator, *, scale: float = 0.2) -> np.ndarray:
-    parameters = PairChart(SEED).seed_parameters()
+    parameters = CHART.seed_parameters()
     noise = scale * rng.normal(size=NUM_PARAMETERS)
     noise[LENGTH_INDICES] = 0.02 * rng.uniform(-1.0, 1.0, size=LENGTH_INDICES.shape)
     noise[LENGTH_INDICES] = 0.5 * (noise[LENGTH_INDICES] + noise[MIRRORED_LENGTH])
@@ -66,19 +68,10 @@ def annotated() -> tuple[AnnotatedPairs, ViewBank]:
 
 
 def density_of(annotated: tuple[AnnotatedPairs, ViewBank], **settings: float) -> PairDensity:
-    chart = PairChart(SEED)
-    return PairDensity(
-        chart, PhysicalPrior(chart, LIMITS), InteractionLikelihood(*annotated), TargetSettings(**settings)
-    )
+    return PairDensity(CHART, PRIOR, InteractionLikelihood(*annotated), TargetSettings(**settings))
 
 
-def test_seed_parameters_give_the_seed() -> None:
-    chart = PairChart(SEED)
-    assert chart.seed_parameters().shape == (108,)
-    np.testing.assert_allclose(chart.positions(chart.seed_parameters()), SEED, atol=1e-14)
-
-
-def test_blocks_cut_the_parameters_into_all_of_them() -> None:
+def test_blocks_partition_the_parameters() -> None:
     indices = np.concatenate([block_indices(block) for block in range(NUM_BLOCKS)])
     assert sorted(indices) == list(range(NUM_PARAMETERS))
 
@@ -87,40 +80,38 @@ def plain_positions(chart: PairChart, parameters: np.ndarray) -> np.ndarray:
     """Return what `PairChart.positions` gives, joint by joint."""
     placed = np.empty((len(parameters), 2, 17, 3))
     for person in range(2):
-        own = parameters[:, 54 * person : 54 * (person + 1)]
-        frames = {0: unitquat_from_rotvec(own[:, :3])}
-        placed[:, person, 0] = own[:, 3:6]
+        part = parameters[:, 54 * person : 54 * (person + 1)]
+        frames = {0: unitquat_from_rotvec(part[:, :3])}
+        placed[:, person, 0] = part[:, 3:6]
         for joint in PAIR17.order[1:]:
             parent, start = PAIR17.parents[joint], 3 + 3 * joint
-            turn = np.einsum("nk,kx->nx", own[:, start : start + 2], chart.axes[person, joint])
+            turn = np.einsum("nk,kx->nx", part[:, start : start + 2], chart.axes[person, joint])
             frames[joint] = multiply(frames[parent], unitquat_from_rotvec(turn))
             bone = rotate(frames[joint], np.broadcast_to(chart.directions[person, joint], turn.shape))
-            length = chart.lengths_m[person, joint] * (1.0 + own[:, start + 2])
+            length = chart.lengths_m[person, joint] * (1.0 + part[:, start + 2])
             placed[:, person, joint] = placed[:, person, parent] + length[:, None] * bone
     return placed
 
 
 def test_compiled_positions_agree_with_the_plain_ones() -> None:
     rng = np.random.default_rng(2)
-    chart = PairChart(SEED)
     parameters = np.stack([random_parameters(rng, scale=1.0) for _ in range(20)])
-    np.testing.assert_allclose(chart.positions(parameters), plain_positions(chart, parameters), atol=1e-12)
+    np.testing.assert_allclose(CHART.positions(parameters), plain_positions(CHART, parameters), atol=1e-12)
 
 
 def test_bones_have_the_lengths_their_parameters_say_and_a_joint_carries_what_hangs_on_it() -> None:
     rng = np.random.default_rng(3)
-    chart = PairChart(SEED)
     parameters = random_parameters(rng)
-    lengths = bone_lengths(PAIR17, chart.positions(parameters))[:, 1:]
-    np.testing.assert_allclose(lengths, chart.lengths_m[:, 1:] * (1.0 + parameters[LENGTH_INDICES]), rtol=1e-12)
+    lengths = bone_lengths(PAIR17, CHART.positions(parameters))[:, 1:]
+    np.testing.assert_allclose(lengths, CHART.lengths_m[:, 1:] * (1.0 + parameters[LENGTH_INDICES]), rtol=1e-12)
     elbow, wrist = PAIR17.index("left_elbow"), PAIR17.index("left_wrist")
-    bent = chart.seed_parameters()
+    bent = CHART.seed_parameters()
     bent[block_indices(elbow)[0]] = 0.5
-    change = np.linalg.norm(chart.positions(bent) - SEED, axis=-1)
+    change = np.linalg.norm(CHART.positions(bent) - SEED, axis=-1)
     assert change[0, elbow] > 0.05
     assert change[0, wrist] > 0.05
-    others = [joint for joint in range(17) if joint not in (elbow, wrist)]
-    np.testing.assert_allclose(change[0, others], 0.0, atol=1e-12)
+    still = [joint for joint in range(17) if joint not in (elbow, wrist)]
+    np.testing.assert_allclose(change[0, still], 0.0, atol=1e-12)
     np.testing.assert_allclose(change[1], 0.0, atol=1e-12)
 
 
@@ -137,46 +128,42 @@ def test_gauge_puts_the_centroid_at_the_origin_and_the_roots_along_x() -> None:
 
 def test_gauge_of_parameters_forgets_every_rigid_motion() -> None:
     rng = np.random.default_rng(5)
-    chart = PairChart(SEED)
     parameters = random_parameters(rng)
-    expected = chart.gauge_fixed(parameters)
+    expected = CHART.gauge_fixed(parameters)
     np.testing.assert_allclose(
-        chart.positions(chart.gauge_fixed(moved(rng, parameters))), chart.positions(expected), atol=1e-9
+        CHART.positions(CHART.gauge_fixed(moved(rng, parameters))), CHART.positions(expected), atol=1e-9
     )
-    np.testing.assert_allclose(chart.gauge_fixed(expected), expected, atol=1e-9)
+    np.testing.assert_allclose(CHART.gauge_fixed(expected), expected, atol=1e-9)
 
 
 def test_prior_of_a_standing_pair_is_one_and_falls_with_penetration_and_bad_angles() -> None:
-    chart = PairChart(SEED)
-    prior = PhysicalPrior(chart, LIMITS)
-    seed = chart.seed_parameters()
-    assert prior.terms(seed, SEED).log_prior == pytest.approx(0.0, abs=1e-9)
+    seed = CHART.seed_parameters()
+    assert PRIOR.terms(seed, SEED).log_prior == pytest.approx(0.0, abs=1e-9)
     pushed = seed.copy()
     pushed[POSITION_INDICES[1, 0]] -= 0.45
-    terms = prior.terms(pushed, chart.positions(pushed))
+    terms = PRIOR.terms(pushed, CHART.positions(pushed))
     assert terms.penetration_m > 0.05
     assert terms.log_prior == pytest.approx(
         -(terms.limit_distance_m**2 + 10.0 * terms.penetration_m**2) / (2 * 0.05**2), rel=1e-12
     )
     bent = seed.copy()
     bent[block_indices(PAIR17.index("left_ankle"))[:2]] = 2.0
-    invalid = prior.terms(bent, chart.positions(bent)).num_invalid
+    invalid = PRIOR.terms(bent, CHART.positions(bent)).num_invalid
     assert invalid > 0
-    assert prior.terms(bent, chart.positions(bent)).log_prior < -1.0
+    assert PRIOR.terms(bent, CHART.positions(bent)).log_prior < -1.0
     for allowed in (invalid, invalid - 1):
-        strict = PhysicalPrior(chart, LIMITS, PriorSettings(max_invalid_angles=allowed))
-        assert np.isfinite(strict.terms(bent, chart.positions(bent)).log_prior) == (allowed == invalid)
+        strict = PhysicalPrior(CHART, LIMITS, PriorSettings(max_invalid_angles=allowed))
+        assert np.isfinite(strict.terms(bent, CHART.positions(bent)).log_prior) == (allowed == invalid)
 
 
 def test_prior_is_the_plain_form_of_the_equation() -> None:
-    chart = PairChart(SEED)
     rng = np.random.default_rng(12)
-    prior = PhysicalPrior(chart, LIMITS, PriorSettings(max_invalid_angles=58))
+    prior = PhysicalPrior(CHART, LIMITS, PriorSettings(max_invalid_angles=58))
     for _ in range(30):
-        parameters = chart.seed_parameters()
+        parameters = CHART.seed_parameters()
         bones = [block_indices(block)[:2] for block in range(NUM_BLOCKS) if block % 17]
         parameters[np.concatenate(bones)] += 0.3 * rng.normal(size=2 * len(bones))
-        pair = chart.positions(parameters)
+        pair = CHART.positions(parameters)
         terms, plain = prior.terms(parameters, pair), LIMITS.nearest_valid(pair)
         squared = plain.squared_distance_m2.sum()
         assert terms.num_invalid == plain.num_invalid.sum()
@@ -186,43 +173,29 @@ def test_prior_is_the_plain_form_of_the_equation() -> None:
 
 
 def test_prior_is_zero_for_stretched_or_untied_bones() -> None:
-    chart = PairChart(SEED)
-    prior = PhysicalPrior(chart, LIMITS)
     knees = LENGTH_INDICES[0, [PAIR17.index("left_knee") - 1, PAIR17.index("right_knee") - 1]]
-    stretched, untied = (chart.seed_parameters() for _ in range(2))
+    stretched, untied = (CHART.seed_parameters() for _ in range(2))
     stretched[knees] = 0.051
     untied[knees[0]] = 0.01
     for parameters in (stretched, untied):
-        assert prior.terms(parameters, chart.positions(parameters)).log_prior == -np.inf
+        assert PRIOR.terms(parameters, CHART.positions(parameters)).log_prior == -np.inf
     stretched[knees] = 0.049
-    assert prior.terms(stretched, chart.positions(stretched)).log_prior > -np.inf
+    assert PRIOR.terms(stretched, CHART.positions(stretched)).log_prior > -np.inf
 
 
 def test_people_too_far_apart_and_turned_over_bones_have_density_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pasdedeux.sampling.densities.density.MAX_APART_M", 1.5)
-    chart = PairChart(SEED)
-    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), PriorOnly())
-    near, far, turned = (chart.seed_parameters() for _ in range(3))
+    density = PairDensity(CHART, PRIOR, PriorOnly())
+    assert (density.log_floor, density.log_ceiling) == (-np.inf, np.inf), "as studies that set nothing"
+    near, far, turned = (CHART.seed_parameters() for _ in range(3))
     near[POSITION_INDICES[1]] = near[POSITION_INDICES[0]] + [1.49, 0.0, 0.0]
     far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [1.51, 0.0, 0.0]
     turned[block_indices(PAIR17.index("head"))[0]] = 3.2
     assert np.isfinite(density(near).log_density)
     assert density(far).log_density == density(turned).log_density == -np.inf
-    wide = PairChart(chart.positions(far))
+    wide = PairChart(CHART.positions(far))
     wider = PairDensity(wide, PhysicalPrior(wide, LIMITS), PriorOnly())
     assert np.isfinite(wider(wide.seed_parameters()).log_density)
-
-
-def test_a_density_that_is_told_nothing_is_the_one_that_studies_sample(
-    annotated: tuple[AnnotatedPairs, ViewBank],
-) -> None:
-    chart, likelihood = PairChart(SEED), InteractionLikelihood(*annotated)
-    own = PairDensity(chart, PhysicalPrior(chart, LIMITS), likelihood)
-    study = PairDensity(chart, PhysicalPrior(chart, LIMITS, TargetSettings()), likelihood, TargetSettings())
-    assert (own.log_floor, own.log_ceiling) == (study.log_floor, study.log_ceiling) == (-np.inf, np.inf)
-    far = chart.seed_parameters()
-    far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [MAX_APART_M + 0.01, 0.0, 0.0]
-    assert own(far).log_density == study(far).log_density == -np.inf
 
 
 def test_density_ignores_rigid_motion_of_the_pair(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
@@ -297,25 +270,25 @@ def test_seeds_take_turns_over_the_takes_and_lie_apart() -> None:
 
 
 def test_swapping_the_two_people_everywhere_changes_nothing() -> None:
-    """In the pair, the annotations and the frame of the views: i and k turn round, j stays (lift eq. 3)."""
+    """People change places in the pair, the annotations and the frame of views: i and k turn round (lift eq. 3)."""
     rng = np.random.default_rng(19)
     pairs = random_annotations(rng, random_pairs(rng, 60, spread_rad=0.1), 60)
     swap_view = np.array([-1.0, 1.0, -1.0])
     swapped = AnnotatedPairs(pairs.points_m[:, ::-1].copy(), pairs.directions * swap_view, pairs.annotation_index)
     views = draw_views(rng, pairs.directions, np.ones(60), 5)
-    one = InteractionLikelihood(pairs, build_bank(views, pairs))
-    other = InteractionLikelihood(swapped, build_bank(views * swap_view, swapped))
+    likelihood = InteractionLikelihood(pairs, build_bank(views, pairs))
+    swapped_likelihood = InteractionLikelihood(swapped, build_bank(views * swap_view, swapped))
     for pair in random_pairs(rng, 20, spread_rad=0.1):
-        assert other.log_likelihood(pair[::-1]) == pytest.approx(one.log_likelihood(pair), rel=1e-9)
-        # Who is who matters: the same pair with its people exchanged is another one.
-        assert one.log_likelihood(pair[::-1]) != pytest.approx(one.log_likelihood(pair), rel=1e-3)
-    chart, mirror = PairChart(SEED), PairChart(SEED[::-1].copy())
-    own, exchanged = PhysicalPrior(chart, LIMITS), PhysicalPrior(mirror, LIMITS)
+        assert swapped_likelihood.log_likelihood(pair[::-1]) == pytest.approx(likelihood.log_likelihood(pair), rel=1e-9)
+        # A pair with its people exchanged is a different pair.
+        assert likelihood.log_likelihood(pair[::-1]) != pytest.approx(likelihood.log_likelihood(pair), rel=1e-3)
+    swapped_chart = PairChart(SEED[::-1].copy())
+    swapped_prior = PhysicalPrior(swapped_chart, LIMITS)
     for _ in range(20):
         parameters = random_parameters(rng, scale=0.1)
-        flipped = np.concatenate([parameters[NUM_PARAMETERS // 2 :], parameters[: NUM_PARAMETERS // 2]])
-        terms = own.terms(parameters, chart.positions(parameters))
-        there = exchanged.terms(flipped, mirror.positions(flipped))
-        np.testing.assert_allclose(mirror.positions(flipped), chart.positions(parameters)[::-1], atol=1e-12)
-        assert there.log_prior == pytest.approx(terms.log_prior, rel=1e-9)
-        assert there.penetration_m == pytest.approx(terms.penetration_m, rel=1e-9, abs=1e-12)
+        flipped = np.roll(parameters, NUM_PARAMETERS // 2)
+        terms = PRIOR.terms(parameters, CHART.positions(parameters))
+        swapped_terms = swapped_prior.terms(flipped, swapped_chart.positions(flipped))
+        np.testing.assert_allclose(swapped_chart.positions(flipped), CHART.positions(parameters)[::-1], atol=1e-12)
+        assert swapped_terms.log_prior == pytest.approx(terms.log_prior, rel=1e-9)
+        assert swapped_terms.penetration_m == pytest.approx(terms.penetration_m, rel=1e-9, abs=1e-12)

@@ -1,4 +1,4 @@
-"""The studies of lifting by sampling sample what was published, and the same on both sources."""
+"""The studies of lifting by sampling use the published settings, and the same ones on both sources."""
 
 from __future__ import annotations
 

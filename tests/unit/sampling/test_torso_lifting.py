@@ -17,7 +17,7 @@ BASIS = proportions_torso_basis()
 
 
 def turned_torsos(seed: int, count: int, deviation: float = 0.0) -> np.ndarray:
-    """Torsos of the basis, turned any way that is not seen edge-on; `deviation` in standard deviations."""
+    """Return torsos of the basis in any rotation that is not seen edge-on; `deviation` is in standard deviations."""
     rng = np.random.default_rng(seed)
     turns = rotmat_from_unitquat(normalise(rng.normal(size=(4 * count, 4))))
     turns = turns[np.abs(turns[:, 2, 2]) > 0.3][:count]
@@ -63,9 +63,10 @@ def test_the_first_twin_has_the_neck_nearer_to_the_camera() -> None:
 
 def test_lifting_does_not_change_with_the_place_and_size_of_the_picture() -> None:
     torsos = turned_torsos(3, 50, 0.5)
-    one, other = (lift_torsos(picture(torsos, scale) + shift, BASIS) for scale, shift in ((0.004, 0.0), (0.001, 77.0)))
-    np.testing.assert_allclose(one.torso_m, other.torso_m, atol=1e-6)
-    np.testing.assert_allclose(one.metres_per_pixel, 4 * other.metres_per_pixel, rtol=1e-6)
+    lifted = lift_torsos(picture(torsos, 0.004), BASIS)
+    moved = lift_torsos(picture(torsos, 0.001) + 77.0, BASIS)
+    np.testing.assert_allclose(lifted.torso_m, moved.torso_m, atol=1e-6)
+    np.testing.assert_allclose(lifted.metres_per_pixel, 4 * moved.metres_per_pixel, rtol=1e-6)
 
 
 def test_missing_joints_are_left_out_and_too_few_are_refused() -> None:

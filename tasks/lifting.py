@@ -123,29 +123,17 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Lift the chosen pairs of one artifact of annotations and fill in between them."""
     options = shard.options(LiftingShard)
     annotated = SequenceFacts.of(store.manifest(shard.ref("annotations")))
-    draws, index = _indexed_draws(store, shard.refs("draws"))
-    lifted_from = _lifted_from(store, shard.refs("draws"), draws)
-    every, num_skipped = read_seen_pairs(
+    draws, _ = _indexed_draws(store, shard.refs("draws"))
+    seen, num_skipped = read_seen_pairs(
         store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=_NUM_HYPOTHESES
     )
-    in_time = sorted(place for places in places_by_couple(annotated, every).values() for place in places)
+    in_time = sorted(place for places in places_by_couple(annotated, seen).values() for place in places)
     spans = _spans(in_time, options.num_spans, options.between_frames) if options.between_frames else []
-    places = list(every)
-    chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
-    wanted = sorted({*chosen, *(end for span in spans for end in span)})
-    rows: list[Row] = []
-    fitted: dict[PairPlace, np.ndarray] = {}
+    wanted = _wanted(list(seen), spans, options.max_frames)
     over_time = _over_time(shard, store, in_time, set(wanted), options.pitches_deg)
-    for place in wanted:
-        known = lifted_from.get(place[:3], ())
-        new_rows, fitted[place] = lift_annotation(every[place], draws, index, known, over_time.get(place))
-        rows += new_rows
-    for name, drawn in _compared(store, shard.refs("draws"), options.compared).items():
-        nearest = [retrieve(drawn, every[place].image_m, every[place].directions).pairs_m[0] for place in wanted]
-        rows += [
-            lifted_row(every[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)
-        ]
-    rows += _baselines(shard, store, [every[place] for place in wanted], every)
+    rows, fitted = _lift(shard, store, wanted, seen, over_time)
+    rows += _nearest_of_compared(shard, store, wanted, seen, options.compared)
+    rows += _baselines(shard, store, [seen[place] for place in wanted], seen)
     between = [row for span in spans for row in fill_span(span, fitted, draws)]
     skipped = f"{shard.partition}: {num_skipped} annotated pairs were not lifted, too little was seen"
     facts = LiftedFacts(
@@ -162,6 +150,46 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     if between:
         tables["in_betweens"] = as_columns(between)
     return commit(shard, store, tables=tables, facts=facts, verdict=_verdict(rows, num_skipped))
+
+
+def _wanted(
+    places: Sequence[PairPlace], spans: Sequence[tuple[PairPlace, PairPlace]], max_frames: int
+) -> list[PairPlace]:
+    """Return the places to lift: some evenly spread, and the ends of all spans."""
+    chosen = [places[at] for at in evenly_spread(len(places), max_frames)]
+    return sorted({*chosen, *(end for span in spans for end in span)})
+
+
+def _lift(
+    shard: Shard,
+    store: Store,
+    wanted: Sequence[PairPlace],
+    seen: Mapping[PairPlace, SeenPair],
+    over_time: Mapping[PairPlace, Together],
+) -> tuple[list[Row], dict[PairPlace, np.ndarray]]:
+    """Lift the pairs at the wanted places by the draws; return the rows and the fitted pair of each place."""
+    draws, index = _indexed_draws(store, shard.refs("draws"))
+    lifted_from = _lifted_from(store, shard.refs("draws"), draws)
+    rows: list[Row] = []
+    fitted: dict[PairPlace, np.ndarray] = {}
+    for place in wanted:
+        known = lifted_from.get(place[:3], ())
+        new_rows, fitted[place] = lift_annotation(seen[place], draws, index, known, over_time.get(place))
+        rows += new_rows
+    return rows, fitted
+
+
+def _nearest_of_compared(
+    shard: Shard, store: Store, wanted: Sequence[PairPlace], seen: Mapping[PairPlace, SeenPair], names: tuple[str, ...]
+) -> list[Row]:
+    """Return the nearest draw at the wanted places, of each set of draws to compare."""
+    rows = []
+    for name, index in _compared(store, shard.refs("draws"), names).items():
+        nearest = [retrieve(index, seen[place].image_m, seen[place].directions).pairs_m[0] for place in wanted]
+        rows += [
+            lifted_row(seen[place], f"nearest_of_{name}", pair) for place, pair in zip(wanted, nearest, strict=True)
+        ]
+    return rows
 
 
 def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -18,7 +18,7 @@ from pasdedeux.people.video import check_one_video, why_no_video
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.matching import Method
 from pasdedeux.reconstruction.moving_camera import subtract_motion
-from pasdedeux.reconstruction.people import MethodMotions, SequenceOptions
+from pasdedeux.reconstruction.people import MethodMotions, ReconstructedPeople, SequenceOptions
 from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
@@ -131,67 +131,41 @@ def _is_wanted(manifest: Manifest, sequences: str) -> bool:
     return facts.purpose == "video" and (sequences == "all" or (sequences == "held_out" and facts.is_held_out))
 
 
+class _Reconstructed(NamedTuple):
+    """The people of a sequence, their verdicts by part, the arrays of its cameras, and facts about these."""
+
+    people: ReconstructedPeople
+    verdicts: Mapping[str, Verdict]
+    cameras: Mapping[str, np.ndarray]
+    facts: Mapping[str, Any]
+    skipped: Sequence[str]
+
+
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Reconstruct every person of a sequence with every method; facts name the people who could not be."""
-    (annotations, *others), database_refs = shard.refs("annotations"), shard.refs("projections")
-    parameters, manifests = shard.options(SequenceShard), [store.manifest(ref) for ref in database_refs]
-    sequence_id, manifest = parameters.sequence_id, store.manifest(annotations)
-    facts: dict[str, Any] = {
-        "sequence_ids": [sequence_id],
-        "takes": merge_takes(manifest, *manifests),
-        "sequence_takes": merge_takes(manifest),
-        "database_takes": merge_takes(*manifests),
-        "methods": [method.value for method in parameters.methods],
-    }
+    parameters = shard.options(SequenceShard)
+    sequence_id, facts = parameters.sequence_id, _facts_of_inputs(shard, store, parameters)
+    tracks, reasons = read_tracks(store, shard.refs("annotations")[0], sequence_id)
+    reasons += _faults_of_database(shard, store, tracks)
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
     judged: dict[str, Verdict] = {}
-    tracks, reasons = read_tracks(store, annotations, sequence_id)
-    if not manifests:
-        reasons.append("there is no projection database without the sequence's own take")
-    elif tracks and not any(part.tables["projections"].rows for part in manifests):
-        reasons.append("the projection database has no pose")
-    together: SeenTogether | None = None
+    skipped: list[str] = []
     if tracks and not reasons:
-        database = _database(store, database_refs, shard.refs("clusters"), num_people=len(tracks))
-        camera, cameras = StatedCamera(height_m=parameters.camera_height_m), dict[str, np.ndarray]()
-        try:
-            if others:
-                together = _reconstruct_together(store, annotations, others, tracks, database, camera, parameters)
-        except InputError as error:
-            reasons.append(str(error))
-    facts["skipped"] = [f"{sequence_id}: {reason}" for reason in reasons]
-    if tracks and not reasons:
-        if together is not None:
-            people, judged = together.people, together.judged.verdicts
-            placed_m = upright_m(people)
-            cameras = camera_facts(together.cameras, placed_m)
-            facts["cameras"] = [seen.in_words(placed_m) for seen in together.cameras]
-            facts["methods"] = [parameters.methods[-1].value]
-            facts["skipped"] += together.left_out
+        database = _database(store, shard.refs("projections"), shard.refs("clusters"), num_people=len(tracks))
+        result = _reconstruct(shard, store, parameters, tracks, database)
+        if isinstance(result, str):
+            reasons.append(result)
         else:
-            reconstruction = reconstruct_sequence(tracks, database, camera, _options(parameters))
-            people, judged = reconstruction.people, reconstruction.judged.verdicts
-        made = [(motions.name, motions, people.camera_from_upright_rotmat) for motions in people.methods]
-        if parameters.has_level_camera:
-            made = [*_made_level(tracks, database, parameters), *made]
-        rows = [row for of_method in made for row in _rows(sequence_id, *of_method, database)]
-        judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in people.skipped.items()}
-        attachments = {
-            f"{sequence_id}_{person_id}.{kind}": data
-            for person_id, motion in people.motions.items()
-            for kind, data in (
-                ("bvh", motion.bvh().encode()),
-                ("npz", write_npz(motion, **people.camera_facts, **cameras)),
-            )
-        }
-        facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in people.skipped.items()]
-        facts["num_projections"] = database.poses.num_projections
-        facts["pitch_deg"] = float(np.rad2deg(people.pitch.pitch_rad))
-        facts["pitch_deviation_deg"] = float(np.rad2deg(people.pitch.deviation_rad))
-        if people.scene is not None:
-            facts["camera_height_m"] = people.scene.camera_height_m
-            facts["lens_factor"] = people.scene.lens_factor
+            people = result.people
+            rows = _rows_of_methods(people, tracks, database, parameters)
+            attachments = _motion_files(sequence_id, people, result.cameras)
+            judged |= result.verdicts
+            judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in people.skipped.items()}
+            skipped += result.skipped
+            skipped += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in people.skipped.items()]
+            facts |= {**_facts_of_scene(people), "num_projections": database.poses.num_projections, **result.facts}
+    facts["skipped"] = [*(f"{sequence_id}: {reason}" for reason in reasons), *skipped]
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
     return commit(
         shard,
@@ -203,6 +177,82 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         or Verdict(Level.FAIL, facts["skipped"][0] if facts["skipped"] else "the sequence shows nobody"),
         parts=judged,
     )
+
+
+def _facts_of_inputs(shard: Shard, store: Store, parameters: SequenceShard) -> dict[str, Any]:
+    """Return the facts that are known before the reconstruction."""
+    sequence = store.manifest(shard.refs("annotations")[0])
+    database = [store.manifest(ref) for ref in shard.refs("projections")]
+    return {
+        "sequence_ids": [parameters.sequence_id],
+        "takes": merge_takes(sequence, *database),
+        "sequence_takes": merge_takes(sequence),
+        "database_takes": merge_takes(*database),
+        "methods": [method.value for method in parameters.methods],
+    }
+
+
+def _faults_of_database(shard: Shard, store: Store, tracks: Sequence[Track]) -> list[str]:
+    """Return the reason why these tracks cannot be matched to the database, if there is one."""
+    parts = [store.manifest(ref) for ref in shard.refs("projections")]
+    if not parts:
+        return ["there is no projection database without the sequence's own take"]
+    is_empty = not any(part.tables["projections"].rows for part in parts)
+    return ["the projection database has no pose"] if tracks and is_empty else []
+
+
+def _reconstruct(
+    shard: Shard, store: Store, parameters: SequenceShard, tracks: Sequence[Track], database: SearchedDatabase
+) -> _Reconstructed | str:
+    """Reconstruct the people seen by one or several cameras; return the reason if several cannot be used together."""
+    (first, *others), stated = shard.refs("annotations"), StatedCamera(height_m=parameters.camera_height_m)
+    if not others:
+        alone = reconstruct_sequence(tracks, database, stated, _options(parameters))
+        return _Reconstructed(alone.people, alone.judged.verdicts, {}, {}, ())
+    try:
+        together = _reconstruct_together(store, first, others, tracks, database, stated, parameters)
+    except InputError as error:
+        return str(error)
+    placed_m = upright_m(together.people)
+    facts = {
+        "cameras": [seen.in_words(placed_m) for seen in together.cameras],
+        "methods": [parameters.methods[-1].value],
+    }
+    cameras = camera_facts(together.cameras, placed_m)
+    return _Reconstructed(together.people, together.judged.verdicts, cameras, facts, together.left_out)
+
+
+def _rows_of_methods(
+    people: ReconstructedPeople, tracks: Sequence[Track], database: SearchedDatabase, parameters: SequenceShard
+) -> list[dict[str, Any]]:
+    """Return the rows of every person by every method, those of the baseline `level` first."""
+    methods = [(motions.name, motions, people.camera_from_upright_rotmat) for motions in people.methods]
+    if parameters.has_level_camera:
+        methods = [*_made_level(tracks, database, parameters), *methods]
+    return [row for of_method in methods for row in _rows(parameters.sequence_id, *of_method, database)]
+
+
+def _motion_files(sequence_id: str, people: ReconstructedPeople, cameras: Mapping[str, np.ndarray]) -> dict[str, bytes]:
+    """Return a BVH and an npz file of every person, by name."""
+    return {
+        f"{sequence_id}_{person_id}.{kind}": data
+        for person_id, motion in people.motions.items()
+        for kind, data in (
+            ("bvh", motion.bvh().encode()),
+            ("npz", write_npz(motion, **people.camera_facts, **cameras)),
+        )
+    }
+
+
+def _facts_of_scene(people: ReconstructedPeople) -> dict[str, Any]:
+    """Return the estimates of the camera."""
+    facts = {
+        "pitch_deg": float(np.rad2deg(people.pitch.pitch_rad)),
+        "pitch_deviation_deg": float(np.rad2deg(people.pitch.deviation_rad)),
+    }
+    if people.scene is not None:
+        facts |= {"camera_height_m": people.scene.camera_height_m, "lens_factor": people.scene.lens_factor}
+    return facts
 
 
 def _reconstruct_together(

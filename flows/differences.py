@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from flows.reasons import changed_leaves
-from flows.recorded import ArtifactPlace, Recorded, environment_changes
+from flows.finished_builds import ArtifactPlace, Recorded, environment_changes
+from flows.staleness import changed_leaves
 from pasdedeux.plain_text import counted
 from storage_schema import Manifest, Store
 from storage_schema.comparison import Difference, compare_artifacts

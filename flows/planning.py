@@ -9,8 +9,8 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from flows.reasons import Reasons, StageRecord
 from flows.records import last_sections, read_last_run, uncollected
+from flows.staleness import Reasons, StageRecord
 from flows.study import Study
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, ShardRecord, Store

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from flows.finished_builds import read_environment
 from flows.outcomes import Outcome, Run
-from flows.recorded import read_environment
 from flows.records import ENVIRONMENT_FILE
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Level

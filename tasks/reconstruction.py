@@ -22,7 +22,7 @@ from pasdedeux.reconstruction.people import MethodMotions, ReconstructedPeople, 
 from pasdedeux.reconstruction.reconstruct import HOW_TO_CLUSTER
 from pasdedeux.reconstruction.sequence import SearchedDatabase, StatedCamera, reconstruct_sequence
 from pasdedeux.reconstruction.tracks import TRACK_COLUMNS, Track, tracks_of
-from pasdedeux.reconstruction.views.seen import camera_facts, upright_m
+from pasdedeux.reconstruction.views.cameras import camera_facts, upright_m
 from pasdedeux.reconstruction.views.together import SeenTogether, reconstruct_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store

@@ -11,8 +11,8 @@ from typer import Argument, Option
 from flows.console import options
 from flows.console.context import answer, app, open_store
 from flows.dataset_folder import read_folder, write_folder
+from flows.finished_builds import portable_files
 from flows.planning import PlanError
-from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, mixture, read_last_run
 from pasdedeux.plain_text import counted, visible
 from storage_schema import (

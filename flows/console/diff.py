@@ -12,8 +12,8 @@ from flows.console import options
 from flows.console.context import answer, app, open_store
 from flows.console.display import format_table
 from flows.differences import Changes, differences
-from flows.reasons import shorten_text
-from flows.recorded import read_recorded
+from flows.finished_builds import read_recorded
+from flows.staleness import shorten_text
 
 _NameArgument = Annotated[str, Argument(metavar="RUN|NAME@V", help="Id of a run, or a version of a dataset.")]
 

@@ -37,7 +37,7 @@ from pasdedeux.people.video import check_one_video
 from pasdedeux.reconstruction.live.person import LiveOptions
 from pasdedeux.reconstruction.people import SequenceOptions
 from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase, StatedCamera, reconstruct_sequence
-from pasdedeux.reconstruction.views.seen import SeenBy, upright_m
+from pasdedeux.reconstruction.views.cameras import SeenBy, upright_m
 from pasdedeux.reconstruction.views.together import reconstruct_views
 from tasks.ingest.film.parameters import FilmOptions
 from tasks.ingest.film.run import FoundFilm

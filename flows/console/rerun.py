@@ -15,11 +15,11 @@ from flows.console.display import outcome_lines
 from flows.console.run import build
 from flows.dataset_folder.reading import is_folder, read_recorded_folder, rebuild_folder
 from flows.differences import compare_builds
+from flows.finished_builds import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
 from flows.machine import cluster_settings
 from flows.outcomes import Run
 from flows.planning import PlanError, make_plan
-from flows.reasons import shorten_text
-from flows.recorded import Recorded, artifacts_by_place, environment_changes, read_environment, read_recorded
+from flows.staleness import shorten_text
 from flows.study import Study, study_from_record
 from pasdedeux.errors import InputError
 from storage_schema import Store, in_use

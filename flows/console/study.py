@@ -16,7 +16,7 @@ from flows.console.annotate import DetectionsOption, DetectOption, KeysOption, f
 from flows.console.context import answer, app, echo, graph_of, say
 from flows.console.display import format_table
 from flows.console.study_new import write_new_study
-from flows.reasons import shorten_text
+from flows.staleness import shorten_text
 from flows.study import load_study
 from flows.study_files import HEAD, PUBLISH, StudyError, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys

@@ -19,7 +19,7 @@ from flows.dataset_folder.contents import Contents
 from flows.dataset_folder.croissant import ABOUT, croissant
 from flows.dataset_folder.layout import RECORD, SPLITS_FILE, FolderFile
 from flows.exports.credits import write_credits
-from flows.recorded import portable_files
+from flows.finished_builds import portable_files
 from flows.records import ENVIRONMENT_FILE
 from flows.templates import fill_template
 from pasdedeux.plain_text import counted

@@ -19,8 +19,8 @@ from flows.dataset_folder.contents import find_contents
 from flows.dataset_folder.describing import ARTIFACTS_FILE, attachment_name
 from flows.dataset_folder.layout import RECORD, FolderManifest, read_manifest, read_sides
 from flows.dataset_folder.writing import fill_folder, plan_files
+from flows.finished_builds import Recorded
 from flows.planning import PlanError
-from flows.recorded import Recorded
 from flows.records import ENVIRONMENT_FILE
 from storage_schema import TABLES, ArtifactRef, CorruptArtifact, Dataset, Manifest, Store, in_use, source_credits
 from storage_schema.arrow import arrow_schema

@@ -29,7 +29,7 @@ from pasdedeux.people.resolution import SequencePeople
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.people import ReconstructedPeople
 from pasdedeux.reconstruction.sequence import Reconstruction
-from pasdedeux.reconstruction.views.seen import SeenBy, camera_facts, seen_alone, spanned_frames, upright_m
+from pasdedeux.reconstruction.views.cameras import SeenBy, camera_facts, seen_alone, spanned_frames, upright_m
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Verdict
 from tasks.data import player_page

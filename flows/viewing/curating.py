@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
-from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.scene import Scene
 from flows.viewing.shelf import SINGLE_IMAGES, Item, Shelf, ViewedPartition, moment_reference
+from flows.viewing.table_views import TABLE_VIEWS
 from tasks.files.curation import CLIPPED, UNDECIDED, Choice, Choosing, Decision, content_columns, refuse_clips, thing_at
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class Curation:
 
 def is_each_frame(part: ViewedPartition, item: Item) -> bool:
     """Return whether frames of an item are accepted or rejected one by one."""
-    return KINDS[part.table].is_each or item.names == (SINGLE_IMAGES,)
+    return TABLE_VIEWS[part.table].is_each or item.names == (SINGLE_IMAGES,)
 
 
 def thing_of(
@@ -169,7 +169,7 @@ def thing_of(
     Raises:
         InputError: Clips of this table cannot be chosen, or the item has no such frames.
     """
-    if KINDS[part.table].is_each:
+    if TABLE_VIEWS[part.table].is_each:
         ref, at = item.row(row)
         item, row = Item(item.names, ((ref, np.array([at])),), item.label), 0
     return thing_at(item.read(shelf.store, part.table, content_columns(part.table) or []), row, clip)

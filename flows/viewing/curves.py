@@ -11,7 +11,7 @@ import numpy as np
 from flows.viewing.bodies import THROUGH_M, TOUCH_M
 from flows.viewing.panel import Panel
 from flows.viewing.scene import Scene
-from flows.viewing.side import INK, PAPER, flat_picture
+from flows.viewing.side_picture import INK, PAPER, flat_picture
 from pasdedeux.arrays import Array, Flags, Integers
 from pasdedeux.evaluation.pictures import person_rgb
 from pasdedeux.evaluation.shown_figures import figure_label

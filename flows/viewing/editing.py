@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from flows.viewing.kinds import IMAGE_HEIGHT_M, KINDS, placed_in_room
 from flows.viewing.shelf import ViewedPartition
-from flows.viewing.side import Dragged
+from flows.viewing.side_picture import Dragged
+from flows.viewing.table_views import IMAGE_HEIGHT_M, TABLE_VIEWS, placed_in_room
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
 from pasdedeux.errors import InputError
@@ -90,7 +90,7 @@ class Editor:
         """Show the controls that apply to the scene, and the handle at the chosen joint."""
         viewer = self.viewer
         num_people = self.pose.shape[0]
-        can_change = KINDS[viewer.part.table].is_each and num_people == len(_PERSONS)
+        can_change = TABLE_VIEWS[viewer.part.table].is_each and num_people == len(_PERSONS)
         can_change = can_change or (self.is_image and num_people <= len(_PERSONS))
         is_on = can_change and bool(self._is_on.value) and self.pose.shape[1] == PAIR17.num_joints
         is_on = is_on and self.is_image is (viewer.scene.flat is not None)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from flows.viewing.curating import Curation
-from flows.viewing.kinds import KINDS
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.shelf import GROUPS, Item, Shelf, ViewedPartition
+from flows.viewing.table_views import TABLE_VIEWS
 from pasdedeux.evaluation.shown_figures import figure_label, value_words
 from pasdedeux.verdict import Level
 from tasks.files.curation import UNDECIDED
@@ -90,7 +90,7 @@ class Listing:
 
 def qualities(shelf: Shelf, part: ViewedPartition) -> dict[tuple[str, ...], dict[str, Any]]:
     """Return the figures of each item of a part by the item's names; of several people those of the worst."""
-    table = KINDS[part.table].quality
+    table = TABLE_VIEWS[part.table].quality
     quality_rows: dict[tuple[str, ...], dict[str, Any]] = {}
     for ref in shelf.having(table, part.name) if table else ():
         data = shelf.store.read(ref, table)

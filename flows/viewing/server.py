@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from flows.viewing.side import DRAG_LABEL, Pointer
+from flows.viewing.side_picture import DRAG_LABEL, Pointer
 from pasdedeux.errors import InputError
 
 LOOPBACK = "127.0.0.1"

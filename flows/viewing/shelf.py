@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
-from flows.recorded import read_recorded
+from flows.finished_builds import read_recorded
 from flows.records import last_sections
 from flows.viewing.films import find_film, find_shot
 from flows.viewing.scene import Scene

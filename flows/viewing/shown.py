@@ -15,7 +15,7 @@ from flows.viewing.room import COMPARE, MOST_BESIDE, VIEWS
 from flows.viewing.scene import Scene
 from flows.viewing.server import STRIP_LEFT_PX
 from flows.viewing.shelf import ViewedPartition
-from flows.viewing.side import SidePicture, flat_picture
+from flows.viewing.side_picture import SidePicture, flat_picture
 
 if TYPE_CHECKING:
     from flows.viewing.viewer import Viewer

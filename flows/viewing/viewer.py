@@ -16,7 +16,6 @@ import pyarrow
 from flows.viewing.bodies import GAP, surface_gap_curve
 from flows.viewing.curating import ChoicesPane, Curation, Moment
 from flows.viewing.curves import Curves
-from flows.viewing.kinds import KINDS
 from flows.viewing.listing import FAILS, PASSES, WARNS, Listing
 from flows.viewing.panel import Panel, set_value
 from flows.viewing.playing import PlayingPane
@@ -27,7 +26,8 @@ from flows.viewing.scene import Flat, People, Scene
 from flows.viewing.server import start_server
 from flows.viewing.shelf import Item, Shelf, ViewedPartition, moment_in
 from flows.viewing.shown import MOST_FIGURES, ShownPane, part_label
-from flows.viewing.side import Pointer
+from flows.viewing.side_picture import Pointer
+from flows.viewing.table_views import TABLE_VIEWS
 from pasdedeux.arrays import Array
 from pasdedeux.evaluation.shown_figures import value_words
 from pasdedeux.skeletons import PAIR17, WORKING_SKELETONS
@@ -129,7 +129,7 @@ class Viewer:
         pyarrow.default_memory_pool().release_unused()  # else it keeps the memory of the last item
 
     def _read(self, part: ViewedPartition, index: int) -> Scene:
-        scene = KINDS[part.table].scene(self.shelf, part, self.shelf.items(part)[index])
+        scene = TABLE_VIEWS[part.table].scene(self.shelf, part, self.shelf.items(part)[index])
         if self.wants_flat and scene.flat:
             return replace(scene, people=scene.flat, camera=None)
         gaps = None if scene.rate_hz is None or scene.is_flat else surface_gap_curve(scene.people)

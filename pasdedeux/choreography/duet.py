@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Physique, make_body
-from pasdedeux.choreography.figure import DancerFrames
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.geometry import SIDES
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion

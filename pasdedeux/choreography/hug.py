@@ -8,8 +8,8 @@ import numpy as np
 
 from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import halfway, mix, moves, window
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.duet import Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import SIDES, on_floor
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 

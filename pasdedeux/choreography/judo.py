@@ -11,8 +11,8 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import halfway, mix, moves, window
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance
-from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import SIDES, on_floor
 from pasdedeux.choreography.steps import Plant, walk_feet
 

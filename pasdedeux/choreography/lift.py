@@ -10,8 +10,8 @@ import numpy as np
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Physique
 from pasdedeux.choreography.curves import halfway, mix, moves, window
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.duet import Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import OTHER_SIDE, SIDES, on_floor, square_to, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_feet, walk_foot
 from pasdedeux.kinematics.rotations import normalise

@@ -8,8 +8,8 @@ import numpy as np
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Physique
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import columns, on_floor, square_to
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 from pasdedeux.kinematics.rotations import normalise

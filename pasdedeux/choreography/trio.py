@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from pasdedeux.arrays import Array
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance
-from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import on_circle, on_floor
 from pasdedeux.choreography.steps import Rhythm
 

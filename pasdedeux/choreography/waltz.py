@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from pasdedeux.arrays import Array
 from pasdedeux.choreography.anthropometry import Physique
+from pasdedeux.choreography.dancer_frames import DancerFrames
 from pasdedeux.choreography.duet import BonePoint, Contact, Dance, hand_contact
-from pasdedeux.choreography.figure import DancerFrames
 from pasdedeux.choreography.geometry import on_circle, on_floor, square_to
 from pasdedeux.choreography.steps import Rhythm
 from pasdedeux.skeletons import BODY22

@@ -14,7 +14,7 @@ from pasdedeux.evaluation.pictures import pack_player, people_panel, shown_frame
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.reconstruction.views.seen import SeenBy
+from pasdedeux.reconstruction.views.cameras import SeenBy
 from pasdedeux.skeletons import OP14
 
 MAX_LINKS = 10

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.foreign import refuse_foreign
+from pasdedeux.formats.unsupported import refuse_foreign
 from pasdedeux.kinematics import Motion
 
 MAX_UNPACKED_BYTES = 1 << 30

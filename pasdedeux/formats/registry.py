@@ -12,7 +12,6 @@ from pasdedeux.formats.bvh import BVH, ROTATION_ROWS
 from pasdedeux.formats.c3d import C3D
 from pasdedeux.formats.expi import EXPI
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
-from pasdedeux.formats.foreign import refuse_foreign
 from pasdedeux.formats.poses2d.annotated_frames import (
     AnnotatedFrames,
     check_anatomy,
@@ -33,6 +32,7 @@ from pasdedeux.formats.positions_npz import POSITIONS_NPZ
 from pasdedeux.formats.smpl import SMPL
 from pasdedeux.formats.text import shorten
 from pasdedeux.formats.trc import TRC
+from pasdedeux.formats.unsupported import refuse_foreign
 from pasdedeux.skeletons.layouts import KeypointLayout
 
 F = TypeVar("F", MotionFormat, AnnotationFormat)

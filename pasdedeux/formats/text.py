@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.foreign import refuse_foreign
+from pasdedeux.formats.unsupported import refuse_foreign
 from pasdedeux.plain_text import counted
 
 MAX_MAGNITUDE = 1e7

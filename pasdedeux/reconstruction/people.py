@@ -13,12 +13,12 @@ from pasdedeux.cameras.pinhole import PinholeCamera
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
 from pasdedeux.projections.database import Database, DatabaseCamera
+from pasdedeux.reconstruction.ambiguity import doubt_of_camera, seen_otherwise
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips, motions_together, soles_m
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import pair_depths
 from pasdedeux.reconstruction.lying import searchers_for
 from pasdedeux.reconstruction.matching import Matches, Method, Searcher, match_track, odd_window
-from pasdedeux.reconstruction.otherwise import doubt_of_camera, seen_otherwise
 from pasdedeux.reconstruction.pitch import PitchEstimate, floor_offset
 from pasdedeux.reconstruction.reconstruct import SMOOTHING_S, ReconstructedTrack, reconstruct_track
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
@@ -72,7 +72,7 @@ class ReconstructedPeople:
         pitch: The pitch of the camera, which gives the upright axis.
         scene: Camera, sizes and root paths; None if only the baseline was asked for.
         doubts: Warnings: contradictory statements, or a camera found below the floor.
-        otherwise: Warnings about ambiguous images by person id, see `otherwise`.
+        otherwise: Warnings about ambiguous images by person id, see `ambiguity`.
         has_stature: Whether the stature of somebody is stated, without contradiction.
     """
 

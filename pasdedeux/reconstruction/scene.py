@@ -36,7 +36,7 @@ from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.rays import camera_turns
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
-from pasdedeux.reconstruction.robust import Solution, solve_scene
+from pasdedeux.reconstruction.scene_solver import Solution, solve_scene
 from pasdedeux.reconstruction.terms.contact import GapTerm, TouchTerm, touching_hands
 from pasdedeux.reconstruction.terms.floor import FloorTerm
 from pasdedeux.reconstruction.terms.image import ImageTerm

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from flows.differences import differences
+from flows.finished_builds import read_recorded
 from flows.outcomes import Outcome, Run
 from flows.publishing import publish
-from flows.recorded import read_recorded
 from flows.study import load_study
 from storage_schema import Store, list_runs, open_table
 from tasks.graph import Graph

@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from flows.viewing.editing import Editor
-from flows.viewing.kinds import KINDS
 from flows.viewing.scene import Flat
 from flows.viewing.shelf import open_shelf
-from flows.viewing.side import DRAG_LABEL, PicturePanel, picture_size
+from flows.viewing.side_picture import DRAG_LABEL, PicturePanel, picture_size
+from flows.viewing.table_views import TABLE_VIEWS
 from flows.viewing.viewer import Viewer
 from pasdedeux.arrays import Array
 from pasdedeux.formats.pair_file import read_pair_json
@@ -47,8 +47,8 @@ def part_of(viewer: Viewer, table: str) -> None:
 
 def test_every_table_with_people_is_shown_and_described(editor: Editor) -> None:
     viewer = editor.viewer
-    assert {part.table for part in viewer.shelf.parts} == set(KINDS)
-    for table in KINDS:
+    assert {part.table for part in viewer.shelf.parts} == set(TABLE_VIEWS)
+    for table in TABLE_VIEWS:
         part_of(viewer, table)
         assert np.isfinite(viewer.scene.people.positions_m).any(), table
         for frame in {0, viewer.scene.num_frames - 1}:

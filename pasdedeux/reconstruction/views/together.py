@@ -26,9 +26,9 @@ from pasdedeux.reconstruction.terms.placed import SeenPerson, up_axis
 from pasdedeux.reconstruction.terms.prior import KNOWN_DEVIATION, STATURE_DEVIATION
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.reconstruction.views.calibration import View, calibrate, lengths_of, meet
+from pasdedeux.reconstruction.views.cameras import SeenBy, seen_alone
 from pasdedeux.reconstruction.views.clocks import Rising, SameTake, match_cameras
 from pasdedeux.reconstruction.views.fit import fit_person
-from pasdedeux.reconstruction.views.seen import SeenBy, seen_alone
 from pasdedeux.skeletons import OP14
 
 _NUM_PASSES = 4

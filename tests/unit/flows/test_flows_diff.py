@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.planning import StageSelection
-from flows.reasons import MAX_CHARACTERS, shorten_text
+from flows.staleness import MAX_CHARACTERS, shorten_text
 from storage_schema import Store
 from tests.builders.command_line import CommandLine
 from tests.builders.toy_runs import run_toys, write_study

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from flows.differences import compare_builds
-from flows.recorded import artifacts_by_place, portable_files, read_recorded
+from flows.finished_builds import artifacts_by_place, portable_files, read_recorded
 from storage_schema import ArtifactRef, Store, list_runs, read_latest
 from tasks.graph import Graph
 from tasks.stage import Shard, StageInputs

@@ -13,10 +13,10 @@ from pasdedeux.people.decisions import Decision, decide
 from pasdedeux.projections.database import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction import people
+from pasdedeux.reconstruction.ambiguity import doubt_of_camera, may_lie
 from pasdedeux.reconstruction.errors import root_centred_error_m
 from pasdedeux.reconstruction.lying import ON_BELLY, is_on_floor
 from pasdedeux.reconstruction.matching import Method, Searcher
-from pasdedeux.reconstruction.otherwise import doubt_of_camera, may_lie
 from pasdedeux.reconstruction.people import SequenceOptions, reconstruct_people
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch
 from pasdedeux.reconstruction.reconstruct import reconstruct_track

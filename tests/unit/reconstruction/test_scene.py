@@ -15,8 +15,8 @@ from pasdedeux.reconstruction import scene as estimate
 from pasdedeux.reconstruction.couples import PairDepth
 from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
-from pasdedeux.reconstruction.robust import Solution
 from pasdedeux.reconstruction.scene import SceneEstimate, estimate_scene
+from pasdedeux.reconstruction.scene_solver import Solution
 from pasdedeux.reconstruction.terms.floor import FloorTerm
 from pasdedeux.reconstruction.terms.placed import PlacedPeople, SeenPeople, SeenPerson
 from pasdedeux.reconstruction.terms.term import SceneTerm

@@ -25,8 +25,8 @@ from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.reconstruction.sequence import Reconstruction, SearchedDatabase
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.reconstruction.views.calibration import View, calibrate, meet
+from pasdedeux.reconstruction.views.cameras import camera_facts, upright_m
 from pasdedeux.reconstruction.views.clocks import Rising, match_cameras
-from pasdedeux.reconstruction.views.seen import camera_facts, upright_m
 from pasdedeux.reconstruction.views.together import SeenTogether, _check_sizes, reconstruct_views
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS

@@ -11,7 +11,7 @@ import pytest
 from flows.console.app import run_command_line
 from flows.exports import Export, export_reference
 from flows.exports.casts import _kept_parts
-from flows.reasons import changed_leaves
+from flows.staleness import changed_leaves
 from flows.study import load_study, study_from_record
 from flows.study_files import StudyError
 from flows.viewing.curating import thing_of

@@ -21,12 +21,12 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from flows.viewing.editing import Editor
-from flows.viewing.kinds import KINDS
 from flows.viewing.listing import qualities
 from flows.viewing.saving import LinkPane, encode_clip, encode_image, save_clip
 from flows.viewing.scene import Flat
 from flows.viewing.shelf import Shelf, moment_reference, open_shelf
-from flows.viewing.side import Dragged, PicturePanel, Pointer, SidePicture
+from flows.viewing.side_picture import Dragged, PicturePanel, Pointer, SidePicture
+from flows.viewing.table_views import TABLE_VIEWS
 from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import PAIR17
@@ -191,7 +191,7 @@ def test_what_fails_while_a_frame_is_described_or_pointed_at_is_shown_and_the_ne
 
 def test_an_item_that_cannot_be_read_leaves_what_is_shown(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = viewer.part, viewer.index, viewer.scene
-    monkeypatch.setitem(KINDS, viewer.part.table, replace(KINDS[viewer.part.table], scene=Broken()))  # type: ignore[arg-type]
+    monkeypatch.setitem(TABLE_VIEWS, viewer.part.table, replace(TABLE_VIEWS[viewer.part.table], scene=Broken()))  # type: ignore[arg-type]
     viewer.visit("poses:short/waltz#0")
     assert viewer.panel.message.value == "IndexError: broken"
     assert (viewer.part, viewer.index, viewer.scene) == shown

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from flows.viewing import kinds
+from flows.viewing import table_views
 from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
 from flows.viewing.curves import plot_curves, time_strip
 from flows.viewing.room import _ball, _grid, _pale, _surface, across
 from flows.viewing.scene import Grid, People
 from flows.viewing.shelf import Shelf
-from flows.viewing.side import PAPER
+from flows.viewing.side_picture import PAPER
 from flows.viewing.viewer import Viewer
 from pasdedeux.evaluation.pictures import PERSON_COLOURS, rgb
 from pasdedeux.plausibility.capsules import standing_m
@@ -91,8 +91,8 @@ def test_the_nearest_poses_of_a_person_are_sought_by_the_image_about_the_hips(mo
     index = SimpleNamespace(search=lambda image, num_neighbours: asked.append(image) or best)
     database = SimpleNamespace(project=lambda first, last: np.zeros((1, 6, 14, 2)))
     takes, frames = np.array([f"take {row}" for row in range(9)]), np.arange(9) * 10
-    monkeypatch.setattr(kinds, "_database", lambda *_: (database, index, takes, frames))
-    flats = kinds._nearest_poses(None, None, poses, 3)  # type: ignore[arg-type]
+    monkeypatch.setattr(table_views, "_database", lambda *_: (database, index, takes, frames))
+    flats = table_views._nearest_poses(None, None, poses, 3)  # type: ignore[arg-type]
     titles = ["take 7 frame 70, 12.3 cm", "take 2 frame 20, 20.0 cm"]
     assert [flat.title for flat in flats] == [f"{name}: {title}" for name in "AB" for title in titles]
     hips = OP14.indices(["left_hip", "right_hip"])

@@ -13,11 +13,11 @@ import pytest
 from flows.exports.overlay_video import FilmImages
 from flows.viewing.editing import Editor
 from flows.viewing.films import FilmReader, find_film
-from flows.viewing.kinds import KINDS
+from flows.viewing.footage import LIMBS17, LIMBS22, SequenceFootage
 from flows.viewing.scene import Grid
-from flows.viewing.seen import LIMBS17, LIMBS22, SequenceFootage
 from flows.viewing.shelf import Shelf, ViewedPartition
-from flows.viewing.side import Dragged
+from flows.viewing.side_picture import Dragged
+from flows.viewing.table_views import TABLE_VIEWS
 from flows.viewing.viewer import Viewer
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.errors import InputError
@@ -131,7 +131,7 @@ def test_a_single_image_has_the_film_of_its_own_artifact(tmp_path: Path) -> None
     shelf.film = films.__getitem__  # type: ignore[assignment]
     part = ViewedPartition("annotations", "images", tuple(refs))
     (item,) = shelf.items(part)
-    scene = KINDS["annotations"].scene(shelf, part, item)
+    scene = TABLE_VIEWS["annotations"].scene(shelf, part, item)
     shown = [flat.image() for frame in (0, 1) for flat in scene.images(frame) if flat.image is not None]
     assert shown == refs
 

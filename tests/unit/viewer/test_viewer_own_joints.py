@@ -11,10 +11,10 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.viewing.bodies import Bodies, marks
-from flows.viewing.kinds import KINDS
 from flows.viewing.own_joints import open_own_joints
 from flows.viewing.scene import Scene
 from flows.viewing.shelf import Shelf
+from flows.viewing.table_views import TABLE_VIEWS
 from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh_joints
@@ -50,7 +50,7 @@ def opened(*files: str, units_m: Sequence[float] = (0.01,)) -> Iterator[tuple[Vi
     with open_own_joints(files, units_m, REFUSED) as shelf:
         shown = Viewer(shelf, choosing=Choosing(Path(files[0]).with_name("curation.txt")))
         try:
-            yield shown, KINDS["poses"].scene(shelf, shelf.parts[0], shelf.items(shelf.parts[0])[0])
+            yield shown, TABLE_VIEWS["poses"].scene(shelf, shelf.parts[0], shelf.items(shelf.parts[0])[0])
         finally:
             shown.stop()
 

@@ -12,7 +12,7 @@ import pytest
 from flows.viewing.bodies import GAP
 from flows.viewing.editing import Editor
 from flows.viewing.shelf import Shelf
-from flows.viewing.side import Dragged
+from flows.viewing.side_picture import Dragged
 from flows.viewing.viewer import Viewer
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import read_pair_json

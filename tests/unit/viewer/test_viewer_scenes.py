@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from flows.viewing.curating import Curation, Moment
-from flows.viewing.kinds import KINDS
+from flows.viewing.footage import LIMBS22, size_of
 from flows.viewing.scene import Scene
-from flows.viewing.seen import LIMBS22, size_of
 from flows.viewing.shelf import Shelf
+from flows.viewing.table_views import TABLE_VIEWS
 from flows.viewing.viewer import Viewer
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import DatabaseCamera
@@ -29,7 +29,7 @@ from tests.builders.walkers import random_poses
 
 def scene_of(shelf: Shelf, table: str, item: int = 0) -> Scene:
     part = next(part for part in shelf.parts if part.table == table)
-    return KINDS[table].scene(shelf, part, shelf.items(part)[item])
+    return TABLE_VIEWS[table].scene(shelf, part, shelf.items(part)[item])
 
 
 def test_a_lifted_pair_stands_before_the_capture_as_its_camera_saw_it_with_its_image(store: Store) -> None:
@@ -186,7 +186,7 @@ def test_a_clip_is_chosen_and_forgotten_in_any_of_its_frames(store: Store, tmp_p
 @pytest.mark.parametrize("most", [300_000, 90])
 def test_nearest_poses_stand_beside_a_motion(store: Store, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     """A and B are poses of the database, turned and moved: nothing but these is at no distance."""
-    monkeypatch.setattr("flows.viewing.kinds._MAX_PROJECTIONS", most)
+    monkeypatch.setattr("flows.viewing.table_views._MAX_PROJECTIONS", most)
     poses = centre_and_face(random_poses(np.random.default_rng(4), 5, spread=0.8)).poses_m
     rows = random_columns("projections", 5) | {"op14_m": poses, "take_id": list("vwxyz"), "frame": 10 * np.arange(5)}
     facts = {"kind": "projections", "rate_hz": RATE_HZ, "pitches_deg": [15.0], "num_poses": 5}

@@ -1,4 +1,4 @@
-"""A figure: one person posed over time, trunk and feet first, then hands, with explicit rotations."""
+"""A dancer: one person posed over time, trunk and feet first, then hands, with explicit rotations."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from flows.planning import PlanError
-from flows.reasons import changed_leaves
 from flows.records import ENVIRONMENT_FILE, made_by, run_record
+from flows.staleness import changed_leaves
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, list_runs, open_run
 from storage_schema.credits import merge_credits
 from storage_schema.datasets import open_dataset

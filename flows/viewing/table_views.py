@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from flows.viewing.footage import LIMBS22, SequenceFootage, size_of
 from flows.viewing.scene import Flat, Grid, People, Scene
-from flows.viewing.seen import LIMBS22, SequenceFootage, size_of
 from flows.viewing.shelf import SINGLE_IMAGES, Item, Shelf, ViewedPartition
 from pasdedeux.arrays import Array, Integers
 from pasdedeux.cameras.frames import project_pair
@@ -316,7 +316,7 @@ def _between(shelf: Shelf, part: ViewedPartition, item: Item) -> Scene:
     return Scene(people, rows, say=lambda frame: [f"frame {data['frame'][frame]}"], has_floor=False)
 
 
-KINDS: Mapping[str, TableView] = {
+TABLE_VIEWS: Mapping[str, TableView] = {
     "variants": TableView(_variant, "variant_quality"),
     "poses": TableView(_take, "take_quality"),
     "motions": TableView(_motion),

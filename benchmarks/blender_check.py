@@ -59,10 +59,10 @@ def load(path: Path, metres_per_unit: float) -> tuple[bpy.types.Object, str]:
 
 def check_file(path: Path) -> None:
     """Check one file against its npz; an AssertionError names the difference."""
-    made = dict(np.load(path.with_suffix(".npz")))
-    names, parents, truth = made["joint_names"].tolist(), made["parents"].tolist(), made["positions_m"]
-    if "bvh_metres_per_unit" in made:
-        metres = float(made["bvh_metres_per_unit"])
+    arrays = dict(np.load(path.with_suffix(".npz")))
+    names, parents, truth = arrays["joint_names"].tolist(), arrays["parents"].tolist(), arrays["positions_m"]
+    if "bvh_metres_per_unit" in arrays:
+        metres = float(arrays["bvh_metres_per_unit"])
     else:
         units = path.with_name(f"{path.stem.rpartition('_')[0]}_units.txt").read_text(encoding="utf-8")
         metres = 0.01 if "centimetres" in units.split(" and ")[0] else 1.0
@@ -74,11 +74,11 @@ def check_file(path: Path) -> None:
     rest = {bone.name: _FROM_BLENDER @ np.array(bone.head_local) for bone in rig.data.bones}
     for at, up in enumerate(parents):
         if up >= 0 and at not in ends:
-            off = rest[names[at]] - rest[names[up]] - made["rest_offset_m"][at]
+            off = rest[names[at]] - rest[names[up]] - arrays["rest_offset_m"][at]
             assert np.abs(off).max() < _TOLERANCE_M, f"{names[at]} rests {off} m from where it is said to"
-    pose = str(made.get("rest_pose", "standing"))
+    pose = str(arrays.get("rest_pose", "standing"))
     if pose == "standing":
-        joints = made["body22_joint"].tolist() if "body22_joint" in made else names[: len(_BODY22)]
+        joints = arrays["body22_joint"].tolist() if "body22_joint" in arrays else names[: len(_BODY22)]
         check_t_pose({name: rest[joint] for name, joint in zip(_BODY22, joints, strict=True) if joint in rest})
     worst, stretch = 0.0, 0.0
     for frame in range(len(truth)):
@@ -91,7 +91,7 @@ def check_file(path: Path) -> None:
         for at, up in enumerate(parents):
             if up >= 0 and at not in ends:
                 length = np.linalg.norm(points[at] - points[up])
-                stretch = max(stretch, abs(float(length - np.linalg.norm(made["rest_offset_m"][at]))))
+                stretch = max(stretch, abs(float(length - np.linalg.norm(arrays["rest_offset_m"][at]))))
     assert worst < _TOLERANCE_M, f"a joint is {1e3 * worst:.2f} mm from where the npz has it"
     assert stretch < _TOLERANCE_M, f"a bone changes its length by {1e3 * stretch:.2f} mm"
     print(
@@ -113,8 +113,8 @@ def check_glb(path: Path) -> None:
 
     (moving,) = tree["animations"]
     tracks = {
-        (one["target"]["node"], one["target"]["path"]): values(moving["samplers"][one["sampler"]]["output"])
-        for one in moving["channels"]
+        (channel["target"]["node"], channel["target"]["path"]): values(moving["samplers"][channel["sampler"]]["output"])
+        for channel in moving["channels"]
     }
     times = values(moving["samplers"][0]["input"])[:, 0]
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -122,9 +122,9 @@ def check_glb(path: Path) -> None:
     bpy.context.scene.render.fps = rate
     with contextlib.redirect_stdout(io.StringIO()):
         bpy.ops.import_scene.gltf(filepath=str(path))
-    rigs = sorted((one for one in bpy.data.objects if one.type == "ARMATURE"), key=lambda one: one.name)
+    rigs = sorted((item for item in bpy.data.objects if item.type == "ARMATURE"), key=lambda item: item.name)
     assert len(rigs) == len(tree["skins"]), [rig.name for rig in rigs]
-    bodies = [one for one in bpy.data.objects if one.type == "MESH" and one.find_armature() in rigs]
+    bodies = [item for item in bpy.data.objects if item.type == "MESH" and item.find_armature() in rigs]
     assert len(bodies) == len(rigs), "a body without a skin"
     worst = 0.0
     for frame, time in enumerate(times):
@@ -173,11 +173,11 @@ def check_converted(path: Path, rate_hz: float, places: list[dict[str, np.ndarra
         else:
             script = f"from pxr import Usd; print(Usd.Stage.Open({str(path)!r}).GetTimeCodesPerSecond())"
             # In a process of its own: Blender holds a USD library too.
-            told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-            found_hz = float(told.stdout)
+            result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+            found_hz = float(result.stdout)
             bpy.ops.wm.usd_import(filepath=str(path))
     assert abs(found_hz - rate_hz) < 1e-3, f"{path.suffix} has {found_hz} Hz in place of {rate_hz}"
-    rigs = sorted((one for one in bpy.data.objects if one.type == "ARMATURE"), key=lambda one: one.name)
+    rigs = sorted((item for item in bpy.data.objects if item.type == "ARMATURE"), key=lambda item: item.name)
     assert len(rigs) == num_people
     first = round(min(action.frame_range[0] for action in bpy.data.actions))
     last = round(max(action.frame_range[1] for action in bpy.data.actions))
@@ -231,8 +231,8 @@ if __name__ == "__main__":
         if file.with_suffix(".npz").exists():
             check_file(file)
         else:
-            rig, told = load(file, 0.01)
-            assert "zero length" not in told, told
+            rig, contents = load(file, 0.01)
+            assert "zero length" not in contents, contents
             print(f"{file}: {len(rig.data.bones)} bones, no npz to compare with")
     for file in files[".glb"]:
         check_glb(file)

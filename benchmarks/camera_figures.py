@@ -90,7 +90,7 @@ def errors_m(film: Film, truth_m: np.ndarray, moves: np.ndarray, database: Searc
 
 def views(data: Path, database: SearchedDatabase) -> dict[str, list[tuple[float, float]]]:
     """Return errors of poses and places, metres, by cameras: keypoints of 2 px of noise, lenses and places unknown."""
-    found: dict[str, list[tuple[float, float]]] = {}
+    errors: dict[str, list[tuple[float, float]]] = {}
     for take, start, yaw_rad in CLIPS:
         first = start * STEPS - 60
         bodies = salsa_bodies(data, take, slice(first, first + 120 + STEPS * NUM_FRAMES), rate_hz=30.0 * STEPS)
@@ -101,23 +101,23 @@ def views(data: Path, database: SearchedDatabase) -> dict[str, list[tuple[float,
             cameras = see(truth_m, (yaw_deg, *(yaw_deg + other for other in others)), num_frames=NUM_FRAMES)
             tracks = [camera.tracks for camera in cameras]
             if others:
-                made = {name: reconstruct_views(tracks, database).people.methods[-1]}
+                motions = {name: reconstruct_views(tracks, database).people.methods[-1]}
                 stated = SequenceOptions(statures_m=dict(enumerate(stature_m.tolist())))
-                made[f"{name}, statures stated"] = reconstruct_views(tracks, database, options=stated).people.methods[
-                    -1
-                ]
+                motions[f"{name}, statures stated"] = reconstruct_views(
+                    tracks, database, options=stated
+                ).people.methods[-1]
             else:
                 both = SequenceOptions((Method.NEAREST, Method.FIT))
                 methods = reconstruct_sequence(tracks[0], database, options=both).people.methods
-                made = {"one camera, nearest match": methods[0], name: methods[-1]}
-            for key, method in made.items():
+                motions = {"one camera, nearest match": methods[0], name: methods[-1]}
+            for key, method in motions.items():
                 for said, has_best_scale in (("", False), (", scale fitted to the truth", True)):
                     if has_best_scale and key != name:
                         continue
                     pose, place = seen_errors_m(method.people, truth_m, cameras[0], has_best_scale=has_best_scale)
-                    found.setdefault(f"{key}{said}", []).append((pose, place))
+                    errors.setdefault(f"{key}{said}", []).append((pose, place))
                     print_now(f"salsa {take}, {key}{said}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
-    return found
+    return errors
 
 
 def main() -> None:
@@ -129,7 +129,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     database = salsa_database(options.data)
     parts = options.part or ("moving", "views")
-    found = views(options.data, database) if "views" in parts else {}
+    figures = views(options.data, database) if "views" in parts else {}
     for take, start, yaw_rad in CLIPS if "moving" in parts else ():
         bodies = salsa_bodies(options.data, take, slice(start, start + NUM_FRAMES))
         truth_m = op14_from_working(bodies.body22_m, BODY22)
@@ -137,9 +137,9 @@ def main() -> None:
             moves = hand_held(NUM_FRAMES, **kind)
             film = render(bodies, turn_rad=0.0, yaw_rad=yaw_rad, moves=moves, blur=1, seed=5, size=(960, 540))
             pose, place = errors_m(film, truth_m, moves, database)
-            found.setdefault(camera, []).append((pose, place))
+            figures.setdefault(camera, []).append((pose, place))
             print_now(f"salsa {take}, {camera}: pose {100 * pose:.1f} cm, place {100 * place:.1f} cm")
-    for camera, both in found.items():
+    for camera, both in figures.items():
         pose, place = 100.0 * np.mean(both, axis=0)
         print_now(f"mean, {camera}: pose {pose:.1f} cm, place {place:.1f} cm")
 

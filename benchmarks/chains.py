@@ -121,7 +121,7 @@ def _triangulation() -> BenchmarkResult:
         "triangulation",
         "triangulations",
         *measure_rate("numba, incremental", lambda: delaunay_edges_fast(points), count=len(points)),
-        *measure_rate("scipy (Qhull)", lambda: [delaunay_edges(one) for one in points], count=len(points)),
+        *measure_rate("scipy (Qhull)", lambda: [delaunay_edges(cloud) for cloud in points], count=len(points)),
         "34 points",
     )
 
@@ -144,7 +144,7 @@ def _coverage() -> BenchmarkResult:
 def plain_coverage(real_m: np.ndarray, draws_m: np.ndarray) -> tuple[float, float]:
     """Return C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
     real, draws = _centred(real_m), _centred(draws_m)
-    interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in real]
+    interaction = [min(interaction_dissimilarity(draw, pair) for draw in draws) for pair in real]
     cartesian = cartesian_dissimilarity(draws[None], real[:, None]).min(axis=1)
     return float(np.mean(interaction)), float(cartesian.mean())
 

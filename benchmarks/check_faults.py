@@ -157,7 +157,7 @@ def duet_clips(count: int) -> Iterator[SampleClip]:
     for number in range(count):
         name = names[number % len(names)]
         motions = make_duet(name, duration_s=2.0 * CLIP_S, **styles[name][number // len(names)]).motions
-        people_m = np.stack([derive_working_poses(one, LAYOUTS["body22"]).body22_m for one in motions], axis=1)
+        people_m = np.stack([derive_working_poses(motion, LAYOUTS["body22"]).body22_m for motion in motions], axis=1)
         yield _window(name, number, people_m, motions[0].rate_hz)
 
 
@@ -233,7 +233,7 @@ def measure_clip(clip: SampleClip) -> Measured:
     """Measure the capture of a clip."""
     people = check_capture(clip.people_m, rate_hz=clip.rate_hz)
     limits = {name: both for name, both in limits_of(JUDGED).items() if name != "body_difference_m"}
-    return _measured(clip.family, [(one, JUDGED) for one in people], limits)
+    return _measured(clip.family, [(person, JUDGED) for person in people], limits)
 
 
 def _measured(
@@ -241,12 +241,12 @@ def _measured(
 ) -> Measured:
     values: dict[str, float] = {}
     past: set[str] = set()
-    for one, figures in measured:
+    for measured_clip, figures in measured:
         for first in (first for first, *_ in KINDS.values() if first in figures):
-            value = getattr(one, first)
+            value = getattr(measured_clip, first)
             values[first] = np.fmax(values.get(first, np.nan), np.nan if value is None else value)
         own_limits = {name: both for name, both in limits.items() if name in figures}
-        past |= {figure.name for figure, _, _ in complaints(one, figures, own_limits)}
+        past |= {figure.name for figure, _, _ in complaints(measured_clip, figures, own_limits)}
     return Measured(family, values, frozenset(past))
 
 
@@ -278,17 +278,17 @@ def measure_drift(clip: SampleClip, generator: np.random.Generator) -> tuple[Mea
 
 def row(kind: str, untouched: Sequence[Measured], planted: Sequence[Measured]) -> tuple[str, ...]:
     """Return a line of the table of a kind, judged on every second family."""
-    first, families = KINDS[kind][0], sorted({one.family for one in untouched})
+    first, families = KINDS[kind][0], sorted({clip.family for clip in untouched})
     chosen_on = set(families[::2])
     ends = [
-        np.nanpercentile([one.values[first] for one in some if one.family in chosen_on], percent)
+        np.nanpercentile([clip.values[first] for clip in some if clip.family in chosen_on], percent)
         for some, percent in ((untouched, 97.5), (planted, 2.5))
     ]
     limit = float(np.mean(ends))
-    judged = [[one for one in some if one.family not in chosen_on] for some in (planted, untouched)]
-    by_choice = [np.mean([one.values[first] > limit for one in some]) for some in judged]
-    declared = [np.mean([bool(one.past & set(KINDS[kind])) for one in some]) for some in judged]
-    every = [np.mean([bool(one.past & set(KINDS[kind])) for one in some]) for some in (planted, untouched)]
+    judged = [[clip for clip in some if clip.family not in chosen_on] for some in (planted, untouched)]
+    by_choice = [np.mean([clip.values[first] > limit for clip in some]) for some in judged]
+    declared = [np.mean([bool(clip.past & set(KINDS[kind])) for clip in some]) for some in judged]
+    every = [np.mean([bool(clip.past & set(KINDS[kind])) for clip in some]) for some in (planted, untouched)]
     stated = {**AGAINST_LIMITS, **limits_of(JUDGED)}[first][0]
     shares = (f"{100 * share:.1f} %" for share in (*by_choice, *declared, *every))
     return (kind, str(len(planted)), f"{first} {limit:.3g}", *shares, f"{stated:g}")
@@ -307,19 +307,19 @@ def main() -> None:
     by_kind: dict[str, list[tuple[Measured, Measured]]] = {kind: [] for kind in KINDS}
     with ProcessPoolExecutor(given.workers, get_context("forkserver")) as pool:
         clips = list(chain(duet_clips(half), salsa_clips(given.data, half)))
-        faulty = list(pool.map(measure_clip, [one for one in clips if one.is_faulty]))
-        good = [(at, one) for at, one in enumerate(clips) if not one.is_faulty]
-        for job in [pool.submit(measure_all, one, with_drift=given.drift > 0 == at % step) for at, one in good]:
+        faulty = list(pool.map(measure_clip, [clip for clip in clips if clip.is_faulty]))
+        good = [(at, clip) for at, clip in enumerate(clips) if not clip.is_faulty]
+        for job in [pool.submit(measure_all, clip, with_drift=given.drift > 0 == at % step) for at, clip in good]:
             for kind, both in job.result().items():
                 by_kind[kind].append(both)
     rows = [row(kind, *zip(*both, strict=True)) for kind, both in by_kind.items() if both]
-    untouched, drifting = ([one for one, _ in by_kind[kind]] for kind in ("floor offset", "contact drift"))
+    untouched, drifting = ([clip for clip, _ in by_kind[kind]] for kind in ("floor offset", "contact drift"))
     heads = ("kind", "clips", "limit chosen", "found", "accused", "found, declared", "accused", "found, all", "accused")
     say(format_table((*heads, "declared"), rows, text_columns=(0, 2)))
     for what, some in (("untouched captures", untouched), ("untouched variants", drifting), ("faulty clips", faulty)):
-        names = [name for one in some for name in one.past]
+        names = [name for clip in some for name in clip.past]
         each = ", ".join(f"{name} {names.count(name)}" for name in sorted(set(names)))
-        say([f"{sum(bool(one.past) for one in some)} of {len(some)} {what} are past a limit: {each}"])
+        say([f"{sum(bool(clip.past) for clip in some)} of {len(some)} {what} are past a limit: {each}"])
 
 
 if __name__ == "__main__":

@@ -106,11 +106,11 @@ def _status() -> BenchmarkResult:
             inputs=(),
             files=(),
         )
-        one = store.commit(tables={}, **described)
-        manifest, records = store.manifest(one), []
+        ref = store.commit(tables={}, **described)
+        manifest, records = store.manifest(ref), []
         for number in range(_NUM_ARTIFACTS):
             key = f"{number:064x}"
-            copy = replace(manifest, ref=ArtifactRef("takes", key, one.content_digest))
+            copy = replace(manifest, ref=ArtifactRef("takes", key, ref.content_digest))
             place = store.folder("takes", key)
             place.mkdir(parents=True, exist_ok=True)
             (place / MANIFEST_NAME).write_text(copy.to_json(), encoding="utf-8")
@@ -136,9 +136,9 @@ def _takes() -> BenchmarkResult:
             study = Path(folder) / "takes.toml"
             study.write_text(_TAKES.format(count=count), encoding="utf-8")
             takes.append(_run(0, str(study), *(word for name in _STAGES for word in ("--only", name))))
-    memory, written = [one.memory_mb for one in takes], [one.written_mb for one in takes]
+    memory, written = [take.memory_mb for take in takes], [take.written_mb for take in takes]
     megabytes = {"memory": memory, "written": written}
-    return growth(", ".join(_STAGES), "takes", _NUMS_TAKES, [one.processor_s for one in takes], megabytes)
+    return growth(", ".join(_STAGES), "takes", _NUMS_TAKES, [take.processor_s for take in takes], megabytes)
 
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {"status": _status, "demo": _demo}

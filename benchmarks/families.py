@@ -105,10 +105,13 @@ def study_of(data: Path) -> str:
     lines = [
         '[study]\nname = "families"\nseed = 1\nstages = ["ingest", "projections"]',
         f"[ingest]\nrate_hz = {RATE_HZ:g}\ntake_seconds = 15",
-        f"duets = [{', '.join(_inline(one) for one in duets)}]",
+        f"duets = [{', '.join(_inline(duet) for duet in duets)}]",
         f'[ingest.pairs.salsa]\nfolder = {json.dumps(str(data / "cmu_salsa_bvh"))}\nsubjects = ["60", "61"]',
         f'takes = {json.dumps(salsa)}\nid = "salsa_{{take}}"\nrate_hz = 60',
-        *("[[ingest.takes]]\n" + "\n".join(f"{key} = {_inline(value)}" for key, value in one.items()) for one in takes),
+        *(
+            "[[ingest.takes]]\n" + "\n".join(f"{key} = {_inline(value)}" for key, value in take.items())
+            for take in takes
+        ),
         "[ingest.virtual_video]\nnum_videos = 0\nnum_random_views = 0\n",
     ]
     return "\n".join(lines)
@@ -117,7 +120,7 @@ def study_of(data: Path) -> str:
 def _inline(value: Any) -> str:
     """Return a value as TOML."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_inline(one)}" for key, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{key} = {_inline(item)}" for key, item in value.items()) + " }"
     return f"[{', '.join(map(_inline, value))}]" if isinstance(value, list) else json.dumps(value)
 
 
@@ -190,10 +193,10 @@ class Takes:
         people = range(px.shape[1])
         tracks = [
             Track(
-                px[:, one], np.where(is_missed, 0.0, 0.8)[:, one], RATE_HZ, lens, one,
-                partner_id=1 - one if len(people) == 2 else None,
+                px[:, person], np.where(is_missed, 0.0, 0.8)[:, person], RATE_HZ, lens, person,
+                partner_id=1 - person if len(people) == 2 else None,
             )
-            for one in people
+            for person in people
         ]  # fmt: skip
         return FilmedClip(clip, tracks, truth, float(camera.position_m[1]))
 
@@ -234,15 +237,19 @@ class Row:
 def people_rows(seen: FilmedClip, reconstruction: Reconstruction, level: Reconstruction | None) -> Iterator[Row]:
     """Yield everybody and the couple of a clip."""
     judged = reconstruction.judged
-    made = {one.name: one.people for one in reconstruction.people.methods} | (
+    methods = {method.name: method.people for method in reconstruction.people.methods} | (
         {} if level is None else {"level": level.people.methods[-1].people}
     )
-    made = {"ours": made.pop("fit_clean"), **{name: made[name] for name in ("nearest", "level") if name in made}}
-    for number, one in enumerate(made["ours"]):
-        person, frames = one.track.person_id, one.track.frames
+    methods = {
+        "ours": methods.pop("fit_clean"),
+        **{name: methods[name] for name in ("nearest", "level") if name in methods},
+    }
+    for number, reconstructed in enumerate(methods["ours"]):
+        person, frames = reconstructed.track.person_id, reconstructed.track.frames
         truth = seen.truth_m[frames, person]
         errors = {
-            name: float(root_centred_error_m(people[number].positions_m, truth).mean()) for name, people in made.items()
+            name: float(root_centred_error_m(people[number].positions_m, truth).mean())
+            for name, people in methods.items()
         }
         still = np.broadcast_to((truth - mid_hip(truth)[:, None]).mean(axis=0), truth.shape)
         errors["standing still"] = float(root_centred_error_m(still, truth).mean())
@@ -250,9 +257,9 @@ def people_rows(seen: FilmedClip, reconstruction: Reconstruction, level: Reconst
         yield Row(seen.clip, False, errors, verdict.expected_error_m, verdict.evidence, verdict.verdict.level.value)
     for (first, second), place in judged.places.items():
         true = mid_hip(seen.truth_m[:, second]) - mid_hip(seen.truth_m[:, first])
-        between = {name: people[second].root_m - people[first].root_m for name, people in made.items()}
+        between = {name: people[second].root_m - people[first].root_m for name, people in methods.items()}
         between["equal depth"] = between["ours"] * [1.0, 1.0, 0.0]
-        errors = {name: float(np.linalg.norm(one - true, axis=-1).mean()) for name, one in between.items()}
+        errors = {name: float(np.linalg.norm(vectors - true, axis=-1).mean()) for name, vectors in between.items()}
         yield Row(seen.clip, True, errors, place.expected_error_m, place.evidence, place.verdict.level.value)
 
 
@@ -278,13 +285,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def say_all(takes: Takes, asked: argparse.Namespace) -> None:
     """Reconstruct the clips, report each, and print the tables."""
     rows: list[Row] = []
-    pitches_deg = [float(one) for one in asked.pitches.split(",")]
+    pitches_deg = [float(pitch) for pitch in asked.pitches.split(",")]
     clips = takes.clips(asked.clips, seed=asked.seed, pitches_deg=pitches_deg)
     for family in asked.families.split(","):
         from_others = takes.without(family)
-        for clip in (one for one in clips if one.family == family):
+        for clip in (clip for clip in clips if clip.family == family):
             seen = takes.seen(clip, has_lens=asked.lens)
-            statures_m = {one.person_id: clip.stature_m for one in seen.tracks[:1]} if asked.stature else {}
+            statures_m = {track.person_id: clip.stature_m for track in seen.tracks[:1]} if asked.stature else {}
             reconstruction = reconstruct_clip(seen, from_others, statures_m=statures_m)
             level = None if asked.no_level else reconstruct_clip(seen, from_others, StatedCamera(0.0), statures_m)
             rows += people_rows(seen, reconstruction, level)
@@ -313,7 +320,7 @@ def say_errors(rows: Sequence[Row]) -> None:
         means = [np.mean([row.errors_m[name] for row in family_rows]) for name in names] + [
             np.mean([row.expected_m for row in family_rows])
         ]
-        say(f"| {family} | {' | '.join(f'{100 * one:.1f}' for one in means)} |")
+        say(f"| {family} | {' | '.join(f'{100 * mean:.1f}' for mean in means)} |")
 
 
 def say_expected(rows: Sequence[Row]) -> None:
@@ -337,8 +344,8 @@ def say_expected(rows: Sequence[Row]) -> None:
         shares = ", ".join(f"{name} {holds[families == name].mean():.0%}" for name in names)
         score = np.mean([interval_score(true, low, high) for _, low, high in predicted])
         constant = np.mean([interval_score(true, *constants(true, chosen)) for chosen in divisions])
-        told = np.mean([auc(one, large) for one, _, _ in predicted])
-        say(f"{words}: AUC {told:.2f}, interval holds in {holds.mean():.0%}")
+        skill = np.mean([auc(expected, large) for expected, _, _ in predicted])
+        say(f"{words}: AUC {skill:.2f}, interval holds in {holds.mean():.0%}")
         say(f"  ({shares}), interval score {100 * score:.1f} (a constant one {100 * constant:.1f})")
     weights = np.round(fitted(evidence, true), 3).tolist()
     say(f"fitted to all: weights {weights}, interval {np.round(parts(evidence, true, families), 2).tolist()}")

@@ -16,7 +16,7 @@ def main(film: str, out: str) -> None:
     """Write a row for each landmark of the person in each frame, with the visibility as the confidence."""
     capture = cv2.VideoCapture(film)
     landmarks = mediapipe.solutions.pose.PoseLandmark
-    names = [one.name.lower().replace("foot_index", "big_toe") for one in landmarks]
+    names = [landmark.name.lower().replace("foot_index", "big_toe") for landmark in landmarks]
     lines = [
         "# layout: mediapipe33",
         f"# rate_hz: {capture.get(cv2.CAP_PROP_FPS):g}",
@@ -28,9 +28,9 @@ def main(film: str, out: str) -> None:
             was_read, image = capture.read()
             if not was_read:
                 break
-            found = pose.process(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)).pose_landmarks
+            marks = pose.process(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)).pose_landmarks
             height, width = image.shape[:2]
-            for name, point in zip(names, found.landmark if found else (), strict=bool(found)):
+            for name, point in zip(names, marks.landmark if marks else (), strict=bool(marks)):
                 lines.append(f"{frame},0,{name},{point.x * width:.2f},{point.y * height:.2f},{point.visibility:.4f}")
             frame += 1
     Path(out).write_text("\n".join(lines) + "\n")

@@ -47,7 +47,7 @@ def tracked(film: Film, hidden: float) -> dict[str, float]:
     is_filled = is_between & np.isfinite(px[..., 0])
     flat = film.px.reshape(count, -1)
     others = {
-        "linear": np.stack([np.interp(np.arange(count), keys, one) for one in flat[keys].T], axis=-1),
+        "linear": np.stack([np.interp(np.arange(count), keys, column) for column in flat[keys].T], axis=-1),
         "pchip": PchipInterpolator(keys, flat[keys])(np.arange(count)),
         "spline": CubicSpline(keys, flat[keys])(np.arange(count)),
     }
@@ -56,7 +56,7 @@ def tracked(film: Film, hidden: float) -> dict[str, float]:
         away = np.linalg.norm(places.reshape(film.px.shape) - film.px, axis=-1)
         return 100.0 * float(away[is_filled].mean()) / film.height_px
 
-    errors = {"tracked": error(px), **{name: error(one) for name, one in others.items()}}
+    errors = {"tracked": error(px), **{name: error(track) for name, track in others.items()}}
     return errors | {"filled": is_filled.sum() / is_between.sum(), "frames_per_s": count / seconds}
 
 
@@ -128,13 +128,13 @@ def whole(data: Path, folder: Path) -> dict[str, dict[str, float]]:
         assert run_command_line(["run", str(study), "--store", str(folder / "store"), "--workers", "0"]) == 0
         rows = open_table(f"lifted_pairs:{name}", folder / "store")
         distances: dict[str, list[float]] = {}
-        for sequence, frame, method, pair in zip(*(rows[one] for one in _LIFTED), strict=True):
+        for sequence, frame, method, pair in zip(*(rows[column] for column in _LIFTED), strict=True):
             take_id = str(sequence).partition(".")[0]
             points, true = pair.reshape(-1, 3).astype(np.float64), truth[take_id][frame].reshape(-1, 3)
             error = float(np.linalg.norm(align_rigid(points, true).apply(points) - true, axis=-1).mean())
             for key in (f"{take_id} {method}", f"all {method}"):
                 distances.setdefault(key, []).append(error)
-        errors[name] = {key: float(np.mean(one)) for key, one in distances.items()}
+        errors[name] = {key: float(np.mean(values)) for key, values in distances.items()}
     return errors
 
 
@@ -163,9 +163,9 @@ def main() -> None:
                 print_now(
                     f"{size[0]} x {size[1]}, salsa {take}, hidden {'labelled' if hidden else 'left out'}: {words}"
                 )
-        for hidden in sorted({one for one, _ in results}):
+        for hidden in sorted({kind for kind, _ in results}):
             mean = {
-                name: np.mean([figures[name] for one, figures in results if one == hidden]) for name in results[0][1]
+                name: np.mean([figures[name] for kind, figures in results if kind == hidden]) for name in results[0][1]
             }
             print_now(f"mean, {hidden}: " + ", ".join(f"{name} {value:.3g}" for name, value in mean.items()))
     if "whole" in parts:
@@ -180,7 +180,7 @@ def main() -> None:
             for index, take in enumerate(SALSA_TAKES)
             for view in range(2)
         ]
-        total, kept, frames = (sum(one[at] for one in counts) for at in range(3))
+        total, kept, frames = (sum(count[at] for count in counts) for at in range(3))
         print_now(f"crossings: {kept} of {total} kept ({kept / max(total, 1):.2%}), {frames} frames")
     print_now(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB with the rendered film")
 

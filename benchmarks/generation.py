@@ -38,7 +38,7 @@ def _model() -> BenchmarkResult:
     fast = measure_rate("published network", lambda: sample_motion(model, source, generator, scale=scale))
     plain = measure_rate("interaction mesh", lambda: Augmenter(source).solve([variation]), repeats=1)
     both = (1.0 / fast.per_s, 1.0 / plain.per_s), _PUBLISHED_S
-    ours, theirs = (f"{one:.3g} s against {other:.3g} s" for one, other in both)
+    ours, theirs = (f"{first:.3g} s against {other:.3g} s" for first, other in both)
     size = f"{_DURATION_S:g} s of 2 x {BODY22.num_joints} joints at {_RATE_HZ:g} Hz"
     note = f"a motion takes {ours} ({size}); as published {theirs}"
     return BenchmarkResult("generation: one motion", "motions", *fast, *plain, note)

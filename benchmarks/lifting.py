@@ -24,8 +24,8 @@ def retrieval_problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     rng = np.random.default_rng(1)
     places = random_pairs(rng, NUM_PLACES, spread_rad=0.3)
-    one, other, start = (places[rng.integers(NUM_PLACES, size=NUM_DRAWS)] for _ in range(3))
-    draws = start + 0.1 * (one - other)
+    first, other, start = (places[rng.integers(NUM_PLACES, size=NUM_DRAWS)] for _ in range(3))
+    draws = start + 0.1 * (first - other)
     views = normalise(rng.normal(size=(64, 3)) * [1.0, 0.2, 1.0])
     images = project_pair(random_pairs(rng, 64, spread_rad=0.3), views) + rng.normal(scale=0.02, size=(64, 2, 17, 2))
     return draws, images, views

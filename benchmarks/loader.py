@@ -42,14 +42,20 @@ def _rows(table: str, count: int, **given: Any) -> dict[str, Any]:
 
 def _commit(store: Store, stage: str, name: str, tables: dict[str, Any], facts: Any, *inputs: Manifest) -> Manifest:
     key = artifact_key(stage=stage, version=1, parameters={"name": name}, input_digests=[], seed=0)
-    told: dict[str, Any] = {"key": key, "partition": name, "name": name, "version": 1, "parameters": {"name": name}}
-    told |= {
+    described: dict[str, Any] = {
+        "key": key,
+        "partition": name,
+        "name": name,
+        "version": 1,
+        "parameters": {"name": name},
+    }
+    described |= {
         "seed": 0,
-        "inputs": [one.ref for one in inputs],
+        "inputs": [manifest.ref for manifest in inputs],
         "files": [],
         "sources": [SourceCredit("made up", "CC0", "")],
     }
-    return store.manifest(store.commit(stage=stage, tables=tables, facts=facts.to_json(), **told))
+    return store.manifest(store.commit(stage=stage, tables=tables, facts=facts.to_json(), **described))
 
 
 def _add_take(store: Store, number: int) -> tuple[Manifest, Manifest]:
@@ -88,9 +94,11 @@ def _drawn() -> Iterator[Store]:
     """Give a store of takes and variants, whose clips are unpacked beside it."""
     with tempfile.TemporaryDirectory() as folder:
         store, before = Store(Path(folder) / "store"), os.environ.get("PASDEDEUX_CACHE")
-        made = [_add_take(store, number) for number in range(_TAKES)]
-        stages = dict(zip(("ingest", "augmentation"), zip(*made, strict=True), strict=True))
-        records = {stage: [ShardRecord.of(one, store) for one in found] for stage, found in stages.items()}
+        takes = [_add_take(store, number) for number in range(_TAKES)]
+        stages = dict(zip(("ingest", "augmentation"), zip(*takes, strict=True), strict=True))
+        records = {
+            stage: [ShardRecord.of(manifest, store) for manifest in manifests] for stage, manifests in stages.items()
+        }
         record_latest(store, "bench", "none", records)
         os.environ["PASDEDEUX_CACHE"] = folder
         try:

@@ -147,8 +147,8 @@ def moving_picture(groups: Sequence[MovingPeople], *, rate_hz: float, width: int
 def _bodies(people_m: Array) -> list[Body]:
     """Return everybody's body, by positions (frame, person, 22, 3), metres."""
     radii = capsule_model(BODY22).radii_of(people_m)
-    rests = (standing_rest_m(BODY22, one) for one in np.moveaxis(people_m, 1, 0))
-    return [body_of(BODY22, rest, own) for rest, own in zip(rests, radii, strict=True)]
+    rests = (standing_rest_m(BODY22, positions_m) for positions_m in np.moveaxis(people_m, 1, 0))
+    return [body_of(BODY22, rest, radius) for rest, radius in zip(rests, radii, strict=True)]
 
 
 def _font_path() -> str:

@@ -87,25 +87,25 @@ def search_brute_force(
     query, weight = prepare_query(query_m, weights, num_joints=joints)
     projections = database.project().reshape(-1, joints, 2)
     flat_query, flat_weight = query.reshape(-1, joints, 2), weight.reshape(-1, joints)
-    found = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
+    nearest = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
     distance = np.full((len(flat_query), num_neighbours), np.inf)
-    for number, (one, joint_weight) in enumerate(zip(flat_query, flat_weight, strict=True)):
+    for number, (image, joint_weight) in enumerate(zip(flat_query, flat_weight, strict=True)):
         total = float(joint_weight.sum(dtype=np.float64))
         if total <= 0:
             continue
         summed = np.zeros(len(projections), dtype=np.float32)
         for joint in range(joints):
-            dx = one[joint, 0] - projections[:, joint, 0]
-            dy = one[joint, 1] - projections[:, joint, 1]
+            dx = image[joint, 0] - projections[:, joint, 0]
+            dy = image[joint, 1] - projections[:, joint, 1]
             summed += joint_weight[joint] * np.sqrt(dx * dx + dy * dy)
         count = min(num_neighbours, len(summed))
         cut = np.partition(summed, count - 1)[count - 1]
         near = np.flatnonzero(summed <= cut)
         order = near[np.lexsort((near, summed[near]))][:count]
-        found[number, :count] = order
+        nearest[number, :count] = order
         distance[number, :count] = summed[order].astype(np.float64) / total
     shape = (*query.shape[:-2], num_neighbours)
-    return Neighbours(found.reshape(shape), distance.reshape(shape), database.num_yaws)
+    return Neighbours(nearest.reshape(shape), distance.reshape(shape), database.num_yaws)
 
 
 def _queries() -> npt.NDArray[np.float64]:
@@ -126,9 +126,9 @@ def _waits_ms(start: Callable[[], Callable[[int, Waits], object]], inputs: Waits
     tries = []
     for _ in range(_NUM_TRIES + 1):
         step, waits = start(), []
-        for number, one in enumerate(inputs):
+        for number, given in enumerate(inputs):
             started = time.thread_time()
-            step(number, one)
+            step(number, given)
             waits.append(1e3 * (time.thread_time() - started))
         tries.append(waits)
     return np.asarray(np.min(tries[1:], axis=0))
@@ -163,13 +163,13 @@ def _published() -> BenchmarkResult:
     def timed(name: str, step: Callable[[], T]) -> T:
         step()  # which may compile
         started = time.process_time()
-        made = step()
+        result = step()
         taken_s = time.process_time() - started
         tracemalloc.start()
         step()
         steps[name] = f"{taken_s:.1f} s and {tracemalloc.get_traced_memory()[1] / 1e6:.0f} MB"
         tracemalloc.stop()
-        return made
+        return result
 
     images = timed("projections", lambda: box_images(database))
     places = timed("MDS", lambda: place_projections(images, rng))
@@ -206,7 +206,7 @@ def _live() -> BenchmarkResult:
     motions = [made_up_database(_LIVE_FRAMES, seed=seed).poses_m.astype(np.float64) for seed in (1, 2)]
     rng = np.random.default_rng(2)
     places = np.array([[760.0, 540.0], [1160.0, 540.0]])
-    px = np.stack([camera.project(one) * np.array([350.0, -350.0]) for one in motions], axis=1) + places[:, None]
+    px = np.stack([camera.project(motion) * np.array([350.0, -350.0]) for motion in motions], axis=1) + places[:, None]
     px += rng.normal(0.0, 1.0, px.shape)
     confidence = np.ones(px.shape[1:-1])
     spent_ms: list[float] = []
@@ -222,9 +222,9 @@ def _live() -> BenchmarkResult:
     def timed(method: Callable[..., T]) -> Callable[..., T]:
         def call(*given: object) -> T:
             started = time.thread_time()
-            made = method(*given)
+            result = method(*given)
             spent_ms.append(1e3 * (time.thread_time() - started))
-            return made
+            return result
 
         return call
 
@@ -241,16 +241,16 @@ def _live() -> BenchmarkResult:
         "clean-up": _waits_ms(lambda: LiveCleanUp(24.0).step, motions[0]),
     }
     track = Track(px[:, 0], np.ones(px.shape[::2]), 24.0, Lens.assumed(1920, 1080, px))
-    in_parts = ", ".join(f"{name} {np.median(one):.3f}" for name, one in parts.items())
+    in_parts = ", ".join(f"{name} {np.median(times):.3f}" for name, times in parts.items())
     axes = camera.camera_from_upright_rotmat.T
-    truth = np.stack(motions, axis=1)[[one.frame for one in poses]] @ axes
-    yaw_steps = np.array([one.yaw_rad for one in poses]) / searcher.database.yaw_step_rad
-    matched = searcher.database.turned([one.row for one in poses], yaw_steps) @ axes
-    person = np.array([one.person_id for one in poses])
+    truth = np.stack(motions, axis=1)[[pose.frame for pose in poses]] @ axes
+    yaw_steps = np.array([pose.yaw_rad for pose in poses]) / searcher.database.yaw_step_rad
+    matched = searcher.database.turned([pose.row for pose in poses], yaw_steps) @ axes
+    person = np.array([pose.person_id for pose in poses])
     quality = []
-    for made in (np.stack([one.positions_m for one in poses]), matched):
-        off = np.min([root_centred_error_m(made, truth[:, other]) for other in (0, 1)], axis=0).mean()
-        bent = [np.diff(made[person == one] - mid_hip(made[person == one])[:, None], n=2, axis=0) for one in (0, 1)]
+    for poses_m in (np.stack([pose.positions_m for pose in poses]), matched):
+        off = np.min([root_centred_error_m(poses_m, truth[:, other]) for other in (0, 1)], axis=0).mean()
+        bent = [np.diff(poses_m[person == at] - mid_hip(poses_m[person == at])[:, None], n=2, axis=0) for at in (0, 1)]
         size = np.linalg.norm(np.concatenate(bent), axis=-1).mean() * 24.0**2
         quality.append(f"{100 * off:.1f} cm off with accelerations of {size:.1f} m/s2")
     return BenchmarkResult(
@@ -274,10 +274,10 @@ def _reconstruct() -> BenchmarkResult:
     camera, places = searcher.database.camera, np.array([[760.0, 540.0], [1160.0, 540.0]])
     motions = [made_up_database(_LIVE_FRAMES, seed=seed).poses_m.astype(np.float64) for seed in (1, 2)]
     noise = np.random.default_rng(2)
-    px = [camera.project(one) * [350.0, -350.0] + place for one, place in zip(motions, places, strict=True)]
-    px = [one + noise.normal(0.0, 1.0, one.shape) for one in px]
+    px = [camera.project(motion) * [350.0, -350.0] + place for motion, place in zip(motions, places, strict=True)]
+    px = [track + noise.normal(0.0, 1.0, track.shape) for track in px]
     lens = Lens.assumed(1920, 1080, np.stack(px, axis=1))
-    tracks = [Track(one, np.ones(one.shape[:2]), 24.0, lens, person_id=number) for number, one in enumerate(px)]
+    tracks = [Track(track, np.ones(track.shape[:2]), 24.0, lens, person_id=number) for number, track in enumerate(px)]
     forms = {"fit, scene, clean-up and bodies": Method.FIT, "nearest pose and bodies": Method.NEAREST}
     rates = [
         measure_rate(

@@ -120,7 +120,7 @@ def _variants(num_variants: int) -> Work:
     duet = make_duet("waltz", duration_s=2.0, rate_hz=30.0)
     problem = build_problem(Source(duet.positions_m(), 30.0, "waltz"))
     solver, scales = BulkSolver(problem), np.linspace(0.75, 1.25, num_variants).tolist()
-    bodies = np.stack([one.bone_scale for one in uniform_variations(scales)])
+    bodies = np.stack([variation.bone_scale for variation in uniform_variations(scales)])
 
     def solve() -> None:
         for start in range(0, num_variants, _BATCH):

@@ -194,13 +194,13 @@ class Build:
         waiting = [work.plan for work in self._work.values() if work.is_waiting]
         self._run.listener.progressed(self._tally.progress(waiting, self._pool.num_workers))
 
-    def _begin(self, work: _StageWork, made: dict[str, tuple[Manifest, ...]]) -> None:
+    def _begin(self, work: _StageWork, manifests: dict[str, tuple[Manifest, ...]]) -> None:
         """Plan a stage whose inputs are complete, and submit its shards."""
         plan, stage, run = work.plan, work.plan.stage, self._run
         work.early = {}
         if plan.is_pending:
             try:
-                inputs = stage_inputs(stage, run.study.head.seed, made)
+                inputs = stage_inputs(stage, run.study.head.seed, manifests)
                 plan = plan_stage(stage, run.study, inputs, run.store, is_forced=stage.name in run.selection.force)
             except InputError as error:
                 work.refusal = error

@@ -51,14 +51,14 @@ def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
     return [key for key in keys if key.name not in elsewhere]
 
 
-def _keys_of(model: type[BaseModel], path: str, told: dict[type[BaseModel], str]) -> Iterator[StudyKey]:
+def _keys_of(model: type[BaseModel], path: str, places: dict[type[BaseModel], str]) -> Iterator[StudyKey]:
     """Yield the keys of a table; keys of a model that occurs again in the section are listed once."""
     again: dict[str, list[str]] = {}
     for name, field in model.model_fields.items():
         if field.json_schema_extra is NOT_A_KEY:
             continue
         place, kind = f"{path}.{name}", _declaring(model, name)
-        first = told.setdefault(kind, path)
+        first = places.setdefault(kind, path)
         if first != path:
             again.setdefault(first, []).append(name)
             continue
@@ -72,7 +72,7 @@ def _keys_of(model: type[BaseModel], path: str, told: dict[type[BaseModel], str]
             meaning=field.description or "",
         )
         for deeper, inner_model in models_in(field.annotation, place):
-            yield from _keys_of(inner_model, deeper, told)
+            yield from _keys_of(inner_model, deeper, places)
     for first, names in again.items():
         yield StudyKey(
             f"{path}.*", f"as {first}.*", None, is_needed=False, unit="", meaning=f"The same keys: {', '.join(names)}"

@@ -204,7 +204,9 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
         reason = f"nothing was lifted: {num_skipped} annotated pairs show too little or have no view"
     elif nearest >= mean_pair:
         level, reason = Level.WARN, "the nearest draws look no more like the images than the mean of all draws does"
-    elif (expected := float(np.median([one for row in rows if (one := row[EXPECTED[0]]) is not None]))) > DOUBTFUL_M:
+    elif (
+        expected := float(np.median([error for row in rows if (error := row[EXPECTED[0]]) is not None]))
+    ) > DOUBTFUL_M:
         level, reason = Level.WARN, f"draws had to be bent far: joints are expected {100 * expected:.0f} cm off"
     return Verdict(
         level,

@@ -47,7 +47,7 @@ _THINGS = (
     _Thing("annotations", "annotations"),
     _Thing("seeds", "seeds"),
     _Thing("draws", "draws", topics=("coverage", "leave one out"), is_in=is_chain),
-    _Thing("repaired pairs", "draws", is_in=lambda one: not is_chain(one)),
+    _Thing("repaired pairs", "draws", is_in=lambda manifest: not is_chain(manifest)),
     _Thing("lifted pairs", "lifted_pairs", topics=("lifting",)),
     _Thing("database poses", "projections"),
     _Thing("reconstructed sequences", "motions", is_artifact=True, topics=("reconstruction",)),

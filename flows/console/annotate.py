@@ -86,32 +86,32 @@ def annotate(
         raise InputError(
             f"{film} is a folder of films, but .json, .xml and --overlay need one film: run this command for each"
         )
-    made: list[tuple[FoundShot, AnnotatedShot]] = []
+    annotated: list[tuple[FoundShot, AnnotatedShot]] = []
     failed: list[InputError] = []
     for source in shots:
         try:
-            made.append((source, annotate_film(source.parameters, source.files)))
+            annotated.append((source, annotate_film(source.parameters, source.files)))
         except InputError as error:
             failed.append(type(error)(f"{source.parameters.id}: {error}"))
-    for reason in failed if made else failed[:-1]:
+    for reason in failed if annotated else failed[:-1]:
         echo(f"skipped: {reason}", err=True)
-    if not made:
+    if not annotated:
         raise failed[-1]
-    write_text(target, write(join_frames([shot.frames for _, shot in made])))
-    wanted = [frames_to_correct(shot, num_corrections) for _, shot in made]
-    rows = [_row(source, shot, frames) for (source, shot), frames in zip(made, wanted, strict=True)]
+    write_text(target, write(join_frames([shot.frames for _, shot in annotated])))
+    wanted = [frames_to_correct(shot, num_corrections) for _, shot in annotated]
+    rows = [_row(source, shot, frames) for (source, shot), frames in zip(annotated, wanted, strict=True)]
     say(format_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1)))
-    for lost in {source.film.num_lost for source, _ in made if source.film.num_lost}:
+    for lost in {source.film.num_lost for source, _ in annotated if source.film.num_lost}:
         echo(f"{film.name} states {counted(lost, 'frame')} more than can be read", err=True)
     cells: list[Image] = []
-    for (source, shot), frames in zip(made, wanted, strict=True):
+    for (source, shot), frames in zip(annotated, wanted, strict=True):
         cells += _cells(source, shot, frames, show_faces) if sheet is not None else ()
     if sheet is not None and cells:
         _write_image(sheet, contact_sheet(cells, [""] * len(cells)))
     if overlay is not None:
         overlay.parent.mkdir(parents=True, exist_ok=True)
-        drawn = (image for source, shot in made for image in _drawn(source, shot, show_faces))
-        write_film(overlay, drawn, made[0][1].frames.rate_hz or 30.0)
+        drawn = (image for source, shot in annotated for image in _drawn(source, shot, show_faces))
+        write_film(overlay, drawn, annotated[0][1].frames.rate_hz or 30.0)
     written = (target, sheet if cells else None, overlay)
     echo(f"written: {', '.join(str(path) for path in written if path is not None)}", err=True)
 

@@ -161,10 +161,10 @@ def build_and_report(
         refuse_bad_verdicts(run, outcome, fail_on)
 
 
-def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, published: Published | None) -> Iterator[str]:
+def _report_lines(run: Run, outcome: Outcome, work: Plan, seconds: float, published: Published | None) -> Iterator[str]:
     """Yield the outcome of a run, the current products, and the path of the report."""
-    yield from (*outcome_lines(outcome), *(f"warning: {words}" for words in made.warnings))
-    if made.is_fresh:
+    yield from (*outcome_lines(outcome), *(f"warning: {words}" for words in work.warnings))
+    if work.is_fresh:
         yield f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)"
         if run.is_profiled:
             yield (
@@ -174,7 +174,7 @@ def _report_lines(run: Run, outcome: Outcome, made: Plan, seconds: float, publis
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         yield f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}"
-    yield from headlines(run.store, run.study.name, made.manifests if made.is_fresh else ())
+    yield from headlines(run.store, run.study.name, work.manifests if work.is_fresh else ())
     if outcome.page is not None:
         yield f"report: {outcome.page}"
     if published is not None and not published.failures:

@@ -126,14 +126,14 @@ def _guarded(token: str, on_visit: Callable[[str], None], on_pointer: Callable[[
             is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
             if (why := refusal(host, origin, is_socket=is_socket)) is not None:
                 return connection.respond(403, f"{why}\n")
-            told, slash, _ = request.path[1:].partition("?")[0].partition("/")
-            if not hmac.compare_digest(told.encode(), token.encode()):
+            secret, slash, _ = request.path[1:].partition("?")[0].partition("/")
+            if not hmac.compare_digest(secret.encode(), token.encode()):
                 return connection.respond(403, "refused: the address lacks the token that `pasdedeux view` printed\n")
             if not slash and not is_socket:  # the page has relative links
                 moved_on = connection.respond(308, "")
-                moved_on.headers["Location"] = f"/{token}/{request.path[len(told) + 1 :]}"
+                moved_on.headers["Location"] = f"/{token}/{request.path[len(secret) + 1 :]}"
                 return moved_on
-            request.path = f"/{request.path[len(told) + len(slash) + 1 :]}"
+            request.path = f"/{request.path[len(secret) + len(slash) + 1 :]}"
             # A page of another origin cannot set this header without a preflight request, which fails.
             if "X-Pointer" in request.headers and (moved := _POINTER.fullmatch(request.path)):
                 on_pointer(Pointer(moved[1], float(moved[2]), float(moved[3])))  # type: ignore[arg-type]

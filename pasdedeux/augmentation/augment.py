@@ -155,14 +155,14 @@ class Augmenter:
             squared_residual=np.zeros(self.source.num_frames) if squared_residual is None else squared_residual,
         )
         frame_verdicts = frames.judge(self._frame_limits)
-        made: dict[str, Any] = {
+        values: dict[str, Any] = {
             "energy": np.nan,
             "energy_fk": np.nan,
             "estimated_gap_m": None,
             "solver": MODEL,
             "num_iterations": 0,
         }
-        made |= solved
+        values |= solved
         return Variant(
             variation=variation,
             bone_scale=bone_scale[0],
@@ -170,8 +170,8 @@ class Augmenter:
             quality=quality,
             frames=frames,
             frame_verdicts=frame_verdicts,
-            verdict=self._judge(quality, frame_verdicts, made["solver"]),
-            **made,
+            verdict=self._judge(quality, frame_verdicts, values["solver"]),
+            **values,
         )
 
     def _solver(self, number: int) -> WindowSolver:

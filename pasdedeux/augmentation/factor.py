@@ -97,14 +97,14 @@ def _couple_before(work: Array, before: Array, lag1: Array, lag2: Array) -> None
     """Subtract from the right-hand sides of a block (2 n, column) the contribution of the block before."""
     size, width = work.shape
     for i in range(size):
-        own, same, c = work[i], before[i], lag2[i]
+        rows, same, c = work[i], before[i], lag2[i]
         if i < size // 2:
             other, d = before[i + size // 2], lag1[i]
             for v in range(width):
-                own[v] = (own[v] - c * same[v]) - d * other[v]
+                rows[v] = (rows[v] - c * same[v]) - d * other[v]
         else:
             for v in range(width):
-                own[v] -= c * same[v]
+                rows[v] -= c * same[v]
 
 
 @inner_kernel()
@@ -112,14 +112,14 @@ def _couple_after(work: Array, after: Array, lag1: Array, lag2: Array) -> None:
     """Write the contribution of the next block's solution (2 n, column) to a block into `work`."""
     size, width = work.shape
     for i in range(size):
-        own, same, c = work[i], after[i], lag2[i]
+        rows, same, c = work[i], after[i], lag2[i]
         if i < size // 2:
             for v in range(width):
-                own[v] = c * same[v]
+                rows[v] = c * same[v]
         else:
             other, d = after[i - size // 2], lag1[i - size // 2]
             for v in range(width):
-                own[v] = c * same[v] + d * other[v]
+                rows[v] = c * same[v] + d * other[v]
 
 
 @intrinsic

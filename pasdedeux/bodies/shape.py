@@ -83,13 +83,13 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
     """
     names = skeleton.joint_names
     axes = _axes(rest_m, {name: joint for joint, name in enumerate(names)})
-    made: list[tuple[Array, Array, int, frozenset[int]]] = []  # ends, radii, joint, joints in which it meets others
+    shapes: list[tuple[Array, Array, int, frozenset[int]]] = []  # ends, radii, joint, joints in which it meets others
     for parent, child in skeleton.bones:
         radius, meets = float(radii_m[child]), frozenset((parent, child))
         if radius > 0:
             taper = np.array(_TAPERS.get(names[child].rpartition("_")[2], (1.0, 1.0)))
             radii = radius + np.clip(radius * (taper - 1.0), -_THINNER_M, _THICKER_M)
-            made.append((rest_m[[parent, child]], radii, parent, meets))
+            shapes.append((rest_m[[parent, child]], radii, parent, meets))
         if axes is None:
             continue
         if names[parent] in _FLANKS and names[child] in _FLANKS:
@@ -97,16 +97,16 @@ def cones_of(skeleton: Skeleton, rest_m: Array, radii_m: Array) -> Cones:
             width = float(radii_m[[parent, child]].max())
             for side in (-1.0, 1.0):
                 beside = rest_m[[parent, child]] + side * width * shape[:, :1] * axes[0]
-                made.append((beside, width * shape[:, 1], parent, meets))
+                shapes.append((beside, width * shape[:, 1], parent, meets))
         joint, frame, parts = _outside(rest_m, parent, child, names[child], axes)
         length = float(np.linalg.norm(rest_m[child] - rest_m[parent]))
         for ends in length * np.array(parts):
-            made.append((rest_m[joint] + ends[:, :3] @ frame, ends[:, 3], joint, frozenset((joint,))))
+            shapes.append((rest_m[joint] + ends[:, :3] @ frame, ends[:, 3], joint, frozenset((joint,))))
     return Cones(
-        np.array([ends for ends, *_ in made]).reshape(-1, 2, 3),
-        np.array([radii for _, radii, *_ in made]).reshape(-1, 2),
-        np.array([joint for *_, joint, _ in made], dtype=np.int64),
-        _beside(tuple(meets for *_, meets in made)).copy(),
+        np.array([ends for ends, *_ in shapes]).reshape(-1, 2, 3),
+        np.array([radii for _, radii, *_ in shapes]).reshape(-1, 2),
+        np.array([joint for *_, joint, _ in shapes], dtype=np.int64),
+        _beside(tuple(meets for *_, meets in shapes)).copy(),
     )
 
 

@@ -292,7 +292,9 @@ def _log_lean(backbones: Array, options: ViewOptions) -> Array:
     """Log weight of the backbones' leans towards the camera: an upright person leans by the camera's elevation."""
     lean = np.arctan2(backbones[..., 2], np.linalg.norm(backbones[..., :2], axis=-1))
     lean = lean - np.deg2rad(options.camera_pitch_deg)
-    own, shared = (float(np.deg2rad(d)) ** 2 for d in (options.lean_deviation_deg, options.camera_pitch_deviation_deg))
+    single, shared = (
+        float(np.deg2rad(d)) ** 2 for d in (options.lean_deviation_deg, options.camera_pitch_deviation_deg)
+    )
     # Inverse of own x identity + shared x ones for two people.
     total = lean.sum(axis=-1)
-    return np.asarray(-0.5 * ((lean**2).sum(axis=-1) - shared * total**2 / (own + 2.0 * shared)) / own)
+    return np.asarray(-0.5 * ((lean**2).sum(axis=-1) - shared * total**2 / (single + 2.0 * shared)) / single)

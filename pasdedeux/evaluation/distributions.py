@@ -19,13 +19,13 @@ _NEIGHBOURS = 5
 _NORMAL_95 = 1.96
 
 
-def frechet_distance(one: Array, other: Array) -> float:
+def frechet_distance(left: Array, right: Array) -> float:
     """Return |m - n|^2 + tr(S + R - 2 (S R)^1/2) of features (n, d) and (m, d) taken for normal (Heusel et al. 2017).
 
     The sets need more than d members for covariances of full rank; d is at most 32 here.
     """
-    between = float(((one.mean(axis=0) - other.mean(axis=0)) ** 2).sum())
-    first, second = (np.atleast_2d(np.cov(features, rowvar=False)) for features in (one, other))
+    between = float(((left.mean(axis=0) - right.mean(axis=0)) ** 2).sum())
+    first, second = (np.atleast_2d(np.cov(features, rowvar=False)) for features in (left, right))
     values, vectors = np.linalg.eigh(first)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     mixed = np.sqrt(np.maximum(np.linalg.eigvalsh(root @ second @ root), 0.0)).sum()
@@ -50,18 +50,18 @@ def _kernel(left: Array, right: Array) -> Array:
 
 
 def kernel_interval(
-    one: Array, other: Array, one_units: Sequence[str], other_units: Sequence[str]
+    left: Array, right: Array, left_units: Sequence[str], right_units: Sequence[str]
 ) -> tuple[float, float]:
     """Return ends of a 95 % interval of `kernel_distance`, by the jackknife over units; NaN of fewer than 5 of either.
 
     Features of one unit, such as a variant, leave the sample together (Quenouille 1956, Arvesen 1969 for two samples);
     a bootstrap would pair clips with themselves, which the distance leaves out.
     """
-    if min(len(set(one_units)), len(set(other_units))) < FEWEST_UNITS:
+    if min(len(set(left_units)), len(set(right_units))) < FEWEST_UNITS:
         return float("nan"), float("nan")
     # Terms within the other set do not depend on the omitted unit, so they are no part of the variance.
-    variance = _jackknife_variance(one, other, one_units) + _jackknife_variance(other, one, other_units)
-    middle, reach = kernel_distance(one, other), _NORMAL_95 * float(np.sqrt(variance))
+    variance = _jackknife_variance(left, right, left_units) + _jackknife_variance(right, left, right_units)
+    middle, reach = kernel_distance(left, right), _NORMAL_95 * float(np.sqrt(variance))
     return middle - reach, middle + reach
 
 

@@ -126,12 +126,14 @@ class CheckedMotion:
         Raises:
             InputError: The two have different numbers of frames or people, or other rates.
         """
-        made, its = (
+        length, its = (
             f"{counted(source.num_frames, 'frame')} of {counted(source.num_people, 'person')} at {source.rate_hz:g} Hz"
             for source in (self.source, original.source)
         )
-        if made != its:
-            raise InputError(f"it has {made}, its source {original.name} {its}: a variant has the frames of its source")
+        if length != its:
+            raise InputError(
+                f"it has {length}, its source {original.name} {its}: a variant has the frames of its source"
+            )
         lengths, its_lengths = self.source.lengths_m, original.source.lengths_m
         scale = np.where(its_lengths > 0, lengths / np.maximum(its_lengths, 1e-9), 1.0)
         augmenter, positions_m = original._augmenter, self.source.positions_m

@@ -122,7 +122,7 @@ def score_table(scores: Iterable[Score], *, caption: str, has_marks: bool = Fals
         lambda score: (score.metric, part_in_words(score.split), score.item),
         methods,
         lambda score: score.method,
-        lambda found: _text(found) + " *" * (found[-1] in best),
+        lambda in_cell: _text(in_cell) + " *" * (in_cell[-1] in best),
     )
     return _without_all(replace(table, rows=tuple((in_words(metric), *rest) for metric, *rest in table.rows)))
 

@@ -266,11 +266,11 @@ class Criterion:
             if not is_bound(score.method)
         ]
         mine = [score for score in mine if score.split == _HELD_OUT] or mine
-        found, counts = _Places(), _Places()
+        values, counts = _Places(), _Places()
         for score in mine:
-            found.setdefault(score.method, {})[score.split, score.item] = score.value
+            values.setdefault(score.method, {})[score.split, score.item] = score.value
             counts.setdefault(score.method, {})[score.split, score.item] = score.count
-        return found, counts, mine[-1].unit if mine else "", {score.method for score in mine if score.is_baseline}
+        return values, counts, mine[-1].unit if mine else "", {score.method for score in mine if score.is_baseline}
 
 
 def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:

@@ -52,9 +52,9 @@ def delaunay_edges(points: Array) -> Edges:
 
 def simplex_neighbours(simplices: Edges, num_points: int) -> Flags:
     """Return which points share one of the triangles or tetrahedra (simplex, corner), (n, n)."""
-    one, other = _CORNERS[simplices.shape[1] - 1]
+    start, end = _CORNERS[simplices.shape[1] - 1]
     is_joined = np.zeros((num_points, num_points), dtype=bool)
-    is_joined[simplices[:, one], simplices[:, other]] = True
+    is_joined[simplices[:, start], simplices[:, end]] = True
     return np.asarray(is_joined | is_joined.T)
 
 

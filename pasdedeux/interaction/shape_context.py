@@ -52,9 +52,9 @@ def plane_shape_dissimilarity(moving_m: Array, fixed_m: Array) -> Array:
     costs = []
     for points in np.broadcast_arrays(align_plane(moving_m, fixed_m), fixed_m):
         costs.append((plane_bins(points)[..., None] == np.arange(NUM_PLANE_BINS)).mean(axis=-2))
-    one, other = costs
-    total = one + other
-    cost = 0.5 * np.sum((one - other) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)
+    first, other = costs
+    total = first + other
+    cost = 0.5 * np.sum((first - other) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)
     return np.asarray(cost.mean(axis=-1))
 
 

@@ -193,11 +193,11 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
     radii = radius_per_height(skeleton)
     stand = standing_m(skeleton)
     steps, within = _bones_on_paths(skeleton), []
-    for (start, one), (other_start, other) in combinations(skeleton.bones, 2):
-        ends = stand[[start, one, other_start, other]]
-        is_apart = float(segment_distance(*ends)) > radii[one] + radii[other]
-        if is_apart and steps[np.ix_([start, one], [other_start, other])].min() >= 2:
-            within.append((one, other))
+    for (start, end), (other_start, other) in combinations(skeleton.bones, 2):
+        ends = stand[[start, end, other_start, other]]
+        is_apart = float(segment_distance(*ends)) > radii[end] + radii[other]
+        if is_apart and steps[np.ix_([start, end], [other_start, other])].min() >= 2:
+            within.append((end, other))
     return CapsuleModel(
         skeleton=skeleton,
         parents=np.array(skeleton.parents, dtype=np.int64),

@@ -183,17 +183,17 @@ def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32)
 
 
 @compiled()
-def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> None:
+def _keep(numbers: Integers, summed: Floats32, number: int, value: np.float32) -> None:
     """Insert a projection into the sorted list of the best, ties by number; drop the last."""
     at = summed.shape[0] - 1
-    if value > summed[at] or (value == summed[at] and found[at] >= 0 and number > found[at]):
+    if value > summed[at] or (value == summed[at] and numbers[at] >= 0 and number > numbers[at]):
         return
-    while at > 0 and (summed[at - 1] > value or (summed[at - 1] == value and found[at - 1] > number)):
+    while at > 0 and (summed[at - 1] > value or (summed[at - 1] == value and numbers[at - 1] > number)):
         summed[at] = summed[at - 1]
-        found[at] = found[at - 1]
+        numbers[at] = numbers[at - 1]
         at -= 1
     summed[at] = value
-    found[at] = number
+    numbers[at] = number
 
 
 @compiled()

@@ -38,8 +38,8 @@ def root_removed_error_m(found_m: Array, true_m: Array) -> Array:
 
     The root's rotation is the frame of the body: up from mid-hip to neck, left from hips and shoulders.
     """
-    made, true = _without_root_rotation(_centred(found_m)), _without_root_rotation(_centred(true_m))
-    return np.asarray(np.linalg.norm(made - true, axis=-1).mean(axis=-1))
+    centred, true = _without_root_rotation(_centred(found_m)), _without_root_rotation(_centred(true_m))
+    return np.asarray(np.linalg.norm(centred - true, axis=-1).mean(axis=-1))
 
 
 def scale_free_error_m(found_m: Array, true_m: Array) -> Array:

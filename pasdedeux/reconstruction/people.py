@@ -96,14 +96,14 @@ class ReconstructedPeople:
 
         There must be at least one method.
         """
-        made, rotmat = self.methods[-1], self.camera_from_upright_rotmat
-        lens = made.people[0].track.lens
+        motions, rotmat = self.methods[-1], self.camera_from_upright_rotmat
+        lens = motions.people[0].track.lens
         width, height = (max(round(2.0 * side), 1) for side in lens.principal_point_px)
         return PinholeCamera(
             focal_px=(1.0 if self.scene is None else self.scene.lens_factor) * lens.focal_px,
             principal_point_px=np.array(lens.principal_point_px),
             camera_from_world_rotmat=rotmat,
-            position_m=-made.origin_m @ rotmat + [0.0, soles_m(made.bodies), 0.0],
+            position_m=-motions.origin_m @ rotmat + [0.0, soles_m(motions.bodies), 0.0],
             image_size_px=(width, height),
         )
 
@@ -221,7 +221,7 @@ def _before_camera(
             doubt_rad = float(np.hypot(scene.pitch_deviation_rad, 0.5 * scene.pitch_off_rad))
             pitch = replace(pitch, pitch_rad=scene.pitch_rad, deviation_rad=doubt_rad)
             camera = replace(camera, pitch_rad=scene.pitch_rad)
-    made: list[MethodMotions] = []
+    methods: list[MethodMotions] = []
     for method, people in by_method.items():
         if scene is not None and method is not Method.NEAREST:
             people = tuple(scene.placed(number, track) for number, track in enumerate(people))
@@ -229,9 +229,9 @@ def _before_camera(
             people = tuple(sized_by_height(track, camera, camera_height_m) for track in people)
         people = sized_by_stature(people, options.statures_m, has_one_size=method is not Method.NEAREST)
         is_cleaned = options.has_clean_up and method is list(by_method)[-1]
-        made += _finished(method.value, people, database, camera, is_cleaned=is_cleaned)
-    motions = _motions(made[-1]) if made else {}
-    return ReconstructedPeople(tuple(made), motions, skipped, pitch, scene, tuple(doubts), otherwise, has_stature)
+        methods += _finished(method.value, people, database, camera, is_cleaned=is_cleaned)
+    motions = _motions(methods[-1]) if methods else {}
+    return ReconstructedPeople(tuple(methods), motions, skipped, pitch, scene, tuple(doubts), otherwise, has_stature)
 
 
 def place_people(
@@ -310,11 +310,11 @@ def _embodied(
     return MethodMotions(name, people, origin_m, tuple(bodies))
 
 
-def _motions(made: MethodMotions) -> dict[int, HumanoidMotion]:
+def _motions(method: MethodMotions) -> dict[int, HumanoidMotion]:
     """Return the motions of a method by person id."""
     people = [
         (person.track.first_frame, body, person.is_bridged)
-        for person, body in zip(made.people, made.bodies, strict=True)
+        for person, body in zip(method.people, method.bodies, strict=True)
     ]
-    motions = motions_together(people, rate_hz=made.people[0].track.rate_hz)
-    return {person.person_id: motion for person, motion in zip(made.people, motions, strict=True)}
+    motions = motions_together(people, rate_hz=method.people[0].track.rate_hz)
+    return {person.person_id: motion for person, motion in zip(method.people, motions, strict=True)}

@@ -230,20 +230,20 @@ def judge_tracks(
     """
     if not people.methods:
         return Judged({}, {})
-    made, pitch = people.methods[-1].people, people.pitch
-    longest_s = max(len(person.track.frames) / person.track.rate_hz for person in made)
+    reconstructed, pitch = people.methods[-1].people, people.pitch
+    longest_s = max(len(person.track.frames) / person.track.rate_hz for person in reconstructed)
     is_short = longest_s < MIN_LENGTH_S
     shared = [f"{longest_s:.1f} s are too short to tell camera and places from"] if is_short else []
-    moved = moving_camera_doubt([person.track for person in made])
+    moved = moving_camera_doubt([person.track for person in reconstructed])
     shared += [moved] * bool(moved) + [*people.doubts, *camera_doubt(pitches_rad, pitch)]
-    broken = broken_doubts(sequence_id, [person.track for person in made])
+    broken = broken_doubts(sequence_id, [person.track for person in reconstructed])
     doubts = {
-        name: [told[name] for told in (people.otherwise, broken) if name in told]
-        for name in (person.person_id for person in made)
+        name: [warnings[name] for warnings in (people.otherwise, broken) if name in warnings]
+        for name in (person.person_id for person in reconstructed)
     }
     at_edge = _AT_EDGE if _is_at_edge(pitches_rad, pitch) else 1.0
     judged: dict[int, Reliability] = {}
-    for person in made:
+    for person in reconstructed:
         name = person.person_id
         reliability = judge_person(
             person,
@@ -258,7 +258,7 @@ def judge_tracks(
     places: dict[tuple[int, int], PlaceReliability] = {}
     between = {} if people.scene is None else people.scene.place_deviation_m
     for numbers, deviation_m in between.items():
-        first, second = (made[number] for number in numbers)
+        first, second = (reconstructed[number] for number in numbers)
         if first.track.partner_id != second.person_id:
             continue
         ids = first.person_id, second.person_id

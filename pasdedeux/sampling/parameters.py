@@ -186,20 +186,22 @@ def _gauge(pair_m: Array, reference_m: Array | None) -> tuple[Array, Array]:
 def _place(parameters, directions, axes, lengths, positions):  # type: ignore[no-untyped-def]
     frames = np.empty((NUM_JOINTS, 4))
     for row in range(parameters.shape[0]):
-        own, placed = parameters[row], positions[row]
+        vector, placed = parameters[row], positions[row]
         for person in range(2):
             start = person * NUM_PER_PERSON
             for joint in _ORDER:
                 parent, first = _PARENTS[joint], start + 3 + 3 * joint
                 if parent < 0:
-                    put_unitquat(frames, joint, unitquat_of_rotvec((own[start], own[start + 1], own[start + 2])))
-                    put_row(placed[person], joint, (own[first], own[first + 1], own[first + 2]))
+                    put_unitquat(
+                        frames, joint, unitquat_of_rotvec((vector[start], vector[start + 1], vector[start + 2]))
+                    )
+                    put_row(placed[person], joint, (vector[first], vector[first + 1], vector[first + 2]))
                     continue
-                one, two = row_of(axes[person, joint], 0), row_of(axes[person, joint], 1)
-                turn = unitquat_of_rotvec(weighted_sum(own[first], one, own[first + 1], two))
+                first_axis, second_axis = row_of(axes[person, joint], 0), row_of(axes[person, joint], 1)
+                turn = unitquat_of_rotvec(weighted_sum(vector[first], first_axis, vector[first + 1], second_axis))
                 frame = turned_by(unitquat_of(frames, parent), turn)
                 put_unitquat(frames, joint, frame)
-                length = lengths[person, joint] * (1.0 + own[first + 2])
+                length = lengths[person, joint] * (1.0 + vector[first + 2])
                 bone = carried_by(frame, row_of(directions[person], joint))
                 put_row(placed[person], joint, weighted_sum(1.0, row_of(placed[person], parent), length, bone))
 

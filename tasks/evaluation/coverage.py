@@ -380,7 +380,7 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> lis
             lambda score: (in_words(score.method),),
             _EXPLORATION,
             lambda score: score.metric,
-            lambda found: format_value(float(np.mean([score.value for score in found])), found[0].unit),
+            lambda in_cell: format_value(float(np.mean([score.value for score in in_cell])), in_cell[0].unit),
         )
     ]
 

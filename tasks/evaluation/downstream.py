@@ -65,12 +65,12 @@ def _plan(topic: Topic[None], shares: Sequence[str], inputs: StageInputs, settin
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
         return []
     ids = {TakeFacts.of(take).take_id for take in used}
-    made: dict[str, list[Manifest]] = {}
+    by_model: dict[str, list[Manifest]] = {}
     for manifest in inputs.of("variants"):
         if VariantFacts.of(manifest).take_id in ids:
-            made.setdefault(_model_of(manifest), []).append(manifest)
-    solved = made.pop("", [])
-    models, seen = _unseeing_models(inputs, used, made)
+            by_model.setdefault(_model_of(manifest), []).append(manifest)
+    solved = by_model.pop("", [])
+    models, seen = _unseeing_models(inputs, used, by_model)
     return [
         topic.shard(
             inputs,
@@ -78,7 +78,7 @@ def _plan(topic: Topic[None], shares: Sequence[str], inputs: StageInputs, settin
             OneTraining(shares=name, seed=seed, learned=settings.part(LearnedSettings), models=models, seen=seen),
             takes=used,
             variants=solved,
-            generated=[manifest for model in models for manifest in made[model]],
+            generated=[manifest for model in models for manifest in by_model[model]],
         )
         for name in shares
         for seed in range(settings.num_downstream_seeds)

@@ -204,7 +204,7 @@ def _tabulate(scores: ScoresOf) -> list[TextTable]:
             lambda s: (s.split, in_words(s.method)),
             {name: in_words(name) for name in columns},
             lambda s: s.metric,
-            lambda found: format_score(found[0]),
+            lambda in_cell: format_score(in_cell[0]),
         )
     ]
 

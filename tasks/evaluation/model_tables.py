@@ -112,6 +112,6 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
 
 def _values(metrics: Sequence[str]) -> Callable[[Sequence[Score]], str]:
     """Return a function that writes the scores of a cell in the order of these metrics."""
-    return lambda found: " / ".join(
-        {score.metric: f"{score.value:.2f}" for score in found}.get(name, "-") for name in metrics
+    return lambda in_cell: " / ".join(
+        {score.metric: f"{score.value:.2f}" for score in in_cell}.get(name, "-") for name in metrics
     )

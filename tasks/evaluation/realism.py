@@ -167,10 +167,10 @@ def _compare(
     scores: list[Score] = []
     real, real_units = _features(classifier, [clips[SOLVER][at] for at in second or first])
     for name, clips_of_method in clips.items():
-        made, units = _features(classifier, [clips_of_method[at] for at in first])
-        if second and min(len(real), len(made)) > 1:
-            interval = kernel_interval(real, made, real_units, units)
-            scores += distance_scores(distances(real, made), interval, name, count=len(made), **more)
+        features, units = _features(classifier, [clips_of_method[at] for at in first])
+        if second and min(len(real), len(features)) > 1:
+            interval = kernel_interval(real, features, real_units, units)
+            scores += distance_scores(distances(real, features), interval, name, count=len(features), **more)
         by_kind: dict[str, list[np.ndarray]] = {}
         for clip_set in clips_of_method:
             if clip_set.kind in classifier.labels:

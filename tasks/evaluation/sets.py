@@ -150,7 +150,7 @@ def set_table(scores: Sequence[Score]) -> list[TextTable]:
             lambda score: (in_words(score.method), f"{score.at:,.0f}"),
             {metric: heading for metric, (_, heading) in _METRICS.items()},
             lambda score: score.metric,
-            lambda found: format_score(found[0]),
+            lambda in_cell: format_score(in_cell[0]),
         )
     ]
 

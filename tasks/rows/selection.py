@@ -190,7 +190,7 @@ def _origins(
             chain = _chain_of(chains, part.manifest)
             thought = {"verdict": chain.verdict, "reason": chain.reason}
         table = store.read(part.manifest.ref, name, columns=[*_SHARED, *_OWN[name]])
-        for rank, row in ((rank, row) for rank, (one, row) in enumerate(chosen) if one is part):
+        for rank, row in ((rank, row) for rank, (part_of_row, row) in enumerate(chosen) if part_of_row is part):
             origins[rank] = {
                 "verdict": Level.NOT_JUDGED.value,
                 "reason": "",

@@ -256,10 +256,10 @@ def _solve(rows: Array, basis: Array, pull: Array, step: Array) -> bool:
                 start, above = column, _PARENTS[above]
             changed = rows[above, column - start, column - start : width - start]
             for row in range(0, size * frames, 2):  # in twos, which takes half the time
-                one, two = rows[joint, row, column:width], rows[joint, row + 1, column:width]
-                first, second = one[0], two[0]
+                upper, lower = rows[joint, row, column:width], rows[joint, row + 1, column:width]
+                first, second = upper[0], lower[0]
                 for k in range(changed.shape[0]):
-                    changed[k] -= first * one[k] + second * two[k]
+                    changed[k] -= first * upper[k] + second * lower[k]
                 known[above, column - start] -= first * known[joint, row] + second * known[joint, row + 1]
     for joint in _ORDER:
         size, width = 3 if joint == _ROOT else 2, (2 * _DEPTH[joint] + 3) * frames

@@ -63,21 +63,21 @@ def spanned_frames(people: ReconstructedPeople) -> Integers:
 
 def upright_m(people: ReconstructedPeople) -> Array:
     """Return the joints at `spanned_frames` (frame, person, 14, 3), upright, soles at y = 0; NaN: not there."""
-    made, frames = people.methods[-1], spanned_frames(people)
-    soles = np.array([0.0, soles_m(made.bodies), 0.0])
-    placed_m = np.full((len(frames), len(made.people), OP14.num_joints, 3), np.nan)
-    for number, person in enumerate(made.people):
-        upright = (person.positions_m - made.origin_m) @ people.camera_from_upright_rotmat
+    motions, frames = people.methods[-1], spanned_frames(people)
+    soles = np.array([0.0, soles_m(motions.bodies), 0.0])
+    placed_m = np.full((len(frames), len(motions.people), OP14.num_joints, 3), np.nan)
+    for number, person in enumerate(motions.people):
+        upright = (person.positions_m - motions.origin_m) @ people.camera_from_upright_rotmat
         placed_m[person.track.frames - frames[0], number] = upright + soles
     return placed_m
 
 
 def seen_alone(people: ReconstructedPeople, name: str = "1") -> SeenBy:
     """Return the camera of people seen by one camera."""
-    made, frames = people.methods[-1], spanned_frames(people)
-    track = made.people[0].track
-    keypoints_px = np.full((len(frames), len(made.people), OP14.num_joints, 2), np.nan)
-    for number, person in enumerate(made.people):
+    motions, frames = people.methods[-1], spanned_frames(people)
+    track = motions.people[0].track
+    keypoints_px = np.full((len(frames), len(motions.people), OP14.num_joints, 2), np.nan)
+    for number, person in enumerate(motions.people):
         keypoints_px[person.track.frames - frames[0], number] = person.track.keypoints_px
     first_time_s = track.first_time_s - track.first_frame / track.rate_hz
     return SeenBy(name, people.camera, keypoints_px, track.rate_hz, first_time_s)

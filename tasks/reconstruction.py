@@ -131,7 +131,7 @@ def _is_wanted(manifest: Manifest, sequences: str) -> bool:
     return facts.purpose == "video" and (sequences == "all" or (sequences == "held_out" and facts.is_held_out))
 
 
-class _Reconstructed(NamedTuple):
+class _SequenceResult(NamedTuple):
     """The people of a sequence, their verdicts by part, the arrays of its cameras, and facts about these."""
 
     people: ReconstructedPeople
@@ -203,12 +203,12 @@ def _faults_of_database(shard: Shard, store: Store, tracks: Sequence[Track]) -> 
 
 def _reconstruct(
     shard: Shard, store: Store, parameters: SequenceShard, tracks: Sequence[Track], database: SearchedDatabase
-) -> _Reconstructed | str:
+) -> _SequenceResult | str:
     """Reconstruct the people seen by one or several cameras; return the reason if several cannot be used together."""
     (first, *others), stated = shard.refs("annotations"), StatedCamera(height_m=parameters.camera_height_m)
     if not others:
         alone = reconstruct_sequence(tracks, database, stated, _options(parameters))
-        return _Reconstructed(alone.people, alone.judged.verdicts, {}, {}, ())
+        return _SequenceResult(alone.people, alone.judged.verdicts, {}, {}, ())
     try:
         together = _reconstruct_together(store, first, others, tracks, database, stated, parameters)
     except InputError as error:
@@ -219,7 +219,7 @@ def _reconstruct(
         "methods": [parameters.methods[-1].value],
     }
     cameras = camera_facts(together.cameras, placed_m)
-    return _Reconstructed(together.people, together.judged.verdicts, cameras, facts, together.left_out)
+    return _SequenceResult(together.people, together.judged.verdicts, cameras, facts, together.left_out)
 
 
 def _rows_of_methods(

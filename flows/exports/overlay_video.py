@@ -93,7 +93,7 @@ def _drawn(export: Export, cast: Cast, seen: SeenCast) -> Iterator[Any]:
 
 
 def _bodies(skeleton: Skeleton, people_m: Array) -> list[Body | None]:
-    """Return bodies for positions (frame, P, J, 3), metres; None for a person whom no frame shows complete."""
+    """Return bodies for positions (frame, P, J, 3), metres; None for a person never seen complete."""
     model, bodies = capsule_model(skeleton), []
     for one_m in np.moveaxis(people_m, 1, 0):
         whole = one_m[np.isfinite(one_m).all(axis=(1, 2))]

@@ -65,7 +65,7 @@ addEventListener("pointermove", (event) => { if (held) tell("move", event); }, t
 addEventListener("pointerup", (event) => { if (held) tell("up", event); held = null; }, true);
 addEventListener("dragstart", (event) => { if (held) event.preventDefault(); }, true);
 </script>""".replace("LABEL", DRAG_LABEL).replace("STRIP", str(STRIP_LEFT_PX))
-"""Viser gives a panel a width in pixels; the timeline is as wide as the room beside the panel on the right (320 px),
+"""Viser gives a panel a width in pixels; the timeline has the width of the room beside the right panel (320 px),
 and the strip in it lies below the slider, between its label and its number.
 
 Viser turns its camera with the arrow keys, listening at the document; commands listen at the element below it.

@@ -202,6 +202,6 @@ def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Integers)
 def solve_factored(factor: Factor, rhs: Array, axes: Integers) -> None:
     """Solve in place for some of the axes of right-hand sides (block, 88, axis, count), of the factor's precision.
 
-    A column is the same to the last bit whatever the others and its place among them.
+    A column depends on no other column and not on its place, to the last bit.
     """
     _solve(factor.inverse, factor.lag1, factor.lag2, rhs, axes)

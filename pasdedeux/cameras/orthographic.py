@@ -15,7 +15,7 @@ def view_rotmat(direction: Array, up: Array) -> Array:
 
     Args:
         direction: World direction towards the camera, (*batch, 3), of any length.
-        up: World direction (*batch, 3) that points up in the image as far as it can; where it is parallel to
+        up: World direction (*batch, 3) that points up in the image if possible; where it is parallel to
             `direction`, or zero, the world axis most square to `direction` takes its place.
     """
     z = normalise(direction)

@@ -18,7 +18,7 @@ PERSON_HEIGHT_PX = 600.0
 """Height of a person in the image for which noise in pixels is stated."""
 
 PERSON_HEIGHT_M = 1.7
-"""Height of the person for whom the focal length is chosen."""
+"""Height of the person that sets the focal length."""
 
 
 _JUNK_CONFIDENCE = (0.05, 0.2)

@@ -119,7 +119,7 @@ def find_contacts(
         radii_m: Radius of the bone that ends in each joint (person, joint), metres.
         skeleton: Whose joints.
         rate_hz: Frames per second.
-        stated: Contacts that replace what is found between two bones, and all that is found of a hand or foot; names
+        stated: Contacts that replace those detected between two bones, and all detected ones of a hand or foot; names
             are those of the skeleton.
         own: Bones with which people may touch themselves (n, 2), by child joint, the hand's first; there a hand does
             not reach beyond its wrist, or arms that hang would touch the thighs.

@@ -50,7 +50,7 @@ def find_standing(
             any finite values.
         rate_hz: Frames per second.
         settings: What counts.
-        is_present: Who is there (frame, person); all where not given.
+        is_present: Whether each person is present (frame, person); all when not given.
 
     Motions of fewer than 3 frames have no speed, and no foot stands.
     """
@@ -80,7 +80,7 @@ def floor_under(feet_m: Array, is_standing: Booleans, is_present: Booleans | Non
     Args:
         feet_m: Ankles (frame, person, foot=2, 3), upright axes, metres.
         is_standing: (frame, person, foot).
-        is_present: Who is there (frame, person); all where not given.
+        is_present: Whether each person is present (frame, person); all when not given.
     """
     lowest = feet_m[..., _UP].min(axis=2)
     counted = is_standing.any(axis=2)

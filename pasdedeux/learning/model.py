@@ -160,7 +160,7 @@ class VariantModel(ABC):
 
     A model is a class with these members; `MODELS` lists it, and a contract test checks all listed models against these
     rules.  Training twice on the same items gives the same arrays to the last bit, in one go or segment by segment:
-    whatever is drawn comes from the segment's generator.  Positions are metres, float64, axes (frame, person=2, body22
+    all draws come from the segment's generator.  Positions are metres, float64, axes (frame, person=2, body22
     joint, 3).
     """
 

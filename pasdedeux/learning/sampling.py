@@ -47,7 +47,7 @@ def sample_motion(
     Args:
         model: A trained model; one that draws nothing gives the motion that it predicts for given scales.
         source: The template, T frames of two people.
-        generator: Gives whatever is drawn; the same one gives the same motion.
+        generator: Source of all draws; the same one gives the same motion.
         scale: Scales of B's bones (J,); without them those of the key frames, or a draw from the model's p(B_s).
         key_frames: Poses that B's motion goes through before its bones are made exact; A's motion follows from B's.
         take_id: Name of the take, by which a model may know it from training.
@@ -109,7 +109,7 @@ class VariantSampler:
 
         Args:
             variant_id: Its name.
-            generator: Gives whatever is drawn.
+            generator: Source of all draws.
             scale: Scales of B's bones (22,); see `sample_motion`.
         """
         source = self._request.source

@@ -30,7 +30,7 @@ class Window:
 
     Args:
         take_id: The take.
-        person: Who is scaled.
+        person: Index of the scaled person.
         frames: Numbers of its sampled frames (T,).
         template_m: The source's motion (T, 2, 22, 3), metres.
         axes: The window's axes as columns in the world (3, 3).
@@ -65,7 +65,7 @@ def cut_windows(source: Source, take_id: str, person: int, length: int) -> list[
     Args:
         source: The take.
         take_id: Its name.
-        person: Who is scaled.
+        person: Index of the scaled person.
         length: Frames of a window.
     """
     sampled = sampled_frames(source)

@@ -8,7 +8,7 @@ A row maps a person, by the number from following (or from the source), to an id
     clip1,120,299,1,2
     clip1,40,61,3,nobody
 
-Both frames are included.  Two persons who are one get the same number in `is`; a person who is two gets a row for each
+Both frames are included.  Two ids of one person get the same number in `is`; an id of two people gets a row for each
 part; `nobody` drops a person.  Persons without a row do not change.  The optional column `partner` states the partner
 of a person, by the number of the partner in `is`.
 """

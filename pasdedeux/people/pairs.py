@@ -12,7 +12,7 @@ from pasdedeux.arrays import Array, Integers
 from pasdedeux.people.identity import body_size_px
 
 # Lengths are in mean sizes of both people in the image (about their height).  The constants were chosen on 60 films of
-# couples with one to four bystanders, who are seen all the time or in the last third.
+# couples with one to four bystanders, seen all the time or in the last third.
 _NEAR = 2.0
 """Distance of the middles below which two people are near in a frame."""
 _TOUCH, _MIDDLE = 0.2, 0.5

@@ -242,11 +242,11 @@ def place_people(
     database: Database,
     options: SequenceOptions,
 ) -> ReconstructedPeople:
-    """Return people whom other cameras see too, in places and poses from all cameras.
+    """Return people also seen by other cameras, in places and poses from all cameras.
 
     Args:
         first: The people by the first camera alone; there must be a method and a scene.
-        people: Those of them whom others see, with the poses of all cameras, in axes of the first.
+        people: Those of them also seen by others, with the poses of all cameras, in axes of the first.
         pitch: Pitch of the first camera.
         lens_factor: Its focal length over the assumed one.
         database: Poses that complete the bodies.

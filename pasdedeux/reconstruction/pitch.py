@@ -160,7 +160,7 @@ class _Evidence:
 
     Args:
         rate_hz: Frames per second.
-        distance_m: Distance of the match (frame,), NaN where interpolated, and where a person who is not on the floor
+        distance_m: Distance of the match (frame,), NaN where interpolated, and where a person off the floor
             does not stand.
         height_m: Height of the lower ankle under each lens (lens, frame), NaN if it is not seen.
         nearer_m: How much nearer the left end of each line is by the match (frame, line), upright axes; NaN if it is

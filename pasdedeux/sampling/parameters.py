@@ -164,7 +164,7 @@ class PairChart:
 def gauge_fix(pair_m: Array, reference_m: Array | None = None) -> Array:
     """Return the same pair (2, 17, 3), metres, moved rigidly into the gauge.
 
-    The pair's centroid is at the origin and the line between the roots has yaw 0 (it points along +X as far as the
+    The pair's centroid is at the origin and the line between the roots has yaw 0 (it points along +X where the
     horizontal plane shows it; a vertical line is left as it is).  Tilt, which does not affect the density either, is
     that of the best rigid fit to `reference_m` if given, and otherwise unchanged.
     """

@@ -65,7 +65,7 @@ def lift_annotation(
     if not seen.is_seen.all():
         incomplete = np.where(seen.is_seen[..., None], fitted, np.nan)
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=_NUM_COMPLETING).fitted_m
-        if over_time is not None:  # one image hardly shows who is in front; its video does
+        if over_time is not None:  # one image hardly shows the order in depth; its video does
             fitted = in_depth_order(fitted, as_pair17(over_time.people_m, fitted))
         rows.append(lifted_row(seen, "completed", fitted, **known))
     has_own_draw = bool(np.isin(drawn, retrieved.nearest.draw).any())

@@ -190,7 +190,7 @@ class Stage:
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
         needs: The inputs that it needs, with the keys that give them: the message if it made nothing.
-        check_study: Refuses what is wrong whatever the inputs, such as files that cannot be used, from the sections of
+        check_study: Refuses faults independent of the inputs, such as files that cannot be used, from the sections of
             all stages by name: called before anything runs.
         early: Plans of shards that can start before all inputs are there.
         unread: Gives the tables among `reads` that are left alone with these parameters: nothing waits for them.

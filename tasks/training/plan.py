@@ -74,7 +74,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
 
 
 def check_study(sections: Mapping[str, Any]) -> None:
-    """Refuse impossible models, and splits that leave nothing to train or test on, as far as other sections tell.
+    """Refuse impossible models, and splits that, by the other sections, leave nothing to train or test on.
 
     Only takes of two people count; where a study has none, there is nothing to split.
 

@@ -303,7 +303,7 @@ def _begins_with_face(table: npt.NDArray[np.float64]) -> bool:
     """Return whether the first points (row, K, 3) are MediaPipe's face: all near the nose, unlike the shoulders."""
     points = np.where(_is_seen(table)[..., None], table[..., :2], np.nan)
     far = np.linalg.norm(points - points[:, :1], axis=-1)
-    ears = (0, 7, 8)  # nose and ears; on a head that is turned away, ears are half as far as a shoulder
+    ears = (0, 7, 8)  # nose and ears; on a head turned away, ears have half the distance of a shoulder
     face, shoulders = np.delete(far[:, :_NUM_FACE], ears, axis=1), far[:, _NUM_FACE : _NUM_FACE + 2]
     is_face_seen = np.isfinite(face).any(axis=1) & np.isfinite(shoulders).any(axis=1)
     if not is_face_seen.any():  # no face is seen, where other layouts have shoulders and wrists

@@ -1,4 +1,4 @@
-"""Calibrate several cameras by the people whom they see: rays to a joint meet, and bones keep their lengths.
+"""Calibrate several cameras by the people they see: rays to a joint meet, and bones keep their lengths.
 
 Everything is in the axes of the first camera (x right, y up, z towards it), metres.  For given cameras, each joint is
 the point nearest to its rays, so that only cameras are unknown (variable projection, Golub and Pereyra 1973): the focal

@@ -15,11 +15,7 @@ from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import factorise, solve_factored
 from pasdedeux.augmentation.problem import MeshProblem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import bending_rows, build_problem, build_targets
-from pasdedeux.augmentation.variations import (
-    Variation,
-    bone_variations,
-    group_variations,
-)
+from pasdedeux.augmentation.variations import Variation, bone_variations, group_variations
 from pasdedeux.choreography.duets import make_duet
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitSettings

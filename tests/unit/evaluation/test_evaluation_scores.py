@@ -16,13 +16,7 @@ from pasdedeux.evaluation.verdicts import Criterion
 from pasdedeux.interaction.coverage import CoverageCurve
 from pasdedeux.kinematics.rotations import normalise
 from tasks.evaluation import reconstruction
-from tasks.evaluation.augmentation import (
-    QUALITY_COLUMNS,
-    contact_drifts,
-    contact_scores,
-    gap_scores,
-    quality_scores,
-)
+from tasks.evaluation.augmentation import QUALITY_COLUMNS, contact_drifts, contact_scores, gap_scores, quality_scores
 from tasks.evaluation.coverage import as_good_as_real_frames, coverage_scores, real_frame_levels
 from tasks.evaluation.model_tables import model_tables
 from tasks.evaluation.models import best_model, fall_scores, learning_curves, model_figure, model_scores, share_scores

@@ -6,13 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import (
-    Augmenter,
-    Source,
-    UserContact,
-    reference_motion,
-    uniform_variations,
-)
+from pasdedeux.augmentation import Augmenter, Source, UserContact, reference_motion, uniform_variations
 from pasdedeux.augmentation.energy import fit_terms
 from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets

@@ -64,9 +64,7 @@ def test_a_person_facing_the_camera_shows_the_left_hand_on_the_right_of_the_imag
 
 
 @pytest.mark.parametrize("camera", [DatabaseCamera(), DatabaseCamera(0.4)])
-def test_projections_are_the_camera_over_turned_poses_numbered_by_row_and_yaw(
-    camera: DatabaseCamera,
-) -> None:
+def test_projections_are_the_camera_over_turned_poses_numbered_by_row_and_yaw(camera: DatabaseCamera) -> None:
     poses = centre_and_face(walk(7)).poses_m.astype(np.float32)
     database = Database(poses, np.zeros(7, dtype=bool), num_yaws=12, camera=camera)
     flat = database.project().reshape(-1, 14, 2)

@@ -230,9 +230,7 @@ def test_a_height_that_would_make_giants_is_a_doubt_and_changes_no_size(
         assert found.scene.sizes[0] == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_height_does_not_size_a_person_without_feet_below_the_camera(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_a_height_does_not_size_a_person_without_feet_below_the_camera(walkers: tuple[Searcher, np.ndarray]) -> None:
     track = seen(walk(48, seed=2))
     above = replace(track, keypoints_px=track.keypoints_px - [0.0, 400.0])
     found = reconstruct_people(walkers[0], [above], SequenceOptions(statures_m={0: 1.3}), camera_height_m=1.5)

@@ -10,12 +10,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.coverage import coverage_curve
 from pasdedeux.interaction.nearest import pair_table
 from pasdedeux.interaction.pair_map import PairMap
-from tasks.evaluation.coverage import (
-    coverage_figure,
-    map_figure,
-    real_frame_levels,
-    realism_scores,
-)
+from tasks.evaluation.coverage import coverage_figure, map_figure, real_frame_levels, realism_scores
 
 PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
 

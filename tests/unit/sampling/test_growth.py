@@ -197,9 +197,7 @@ def test_an_annotation_is_lifted_once_whatever_the_number_of_its_views() -> None
     pairs, entries = annotated(30)
     turned = normalise(entries.directions + 0.2 * np.random.default_rng(0).normal(size=(30, 3)))
     both = AnnotatedPairs(
-        np.concatenate([entries.points_m] * 2),
-        np.concatenate([entries.directions, turned]),
-        np.tile(np.arange(30), 2),
+        np.concatenate([entries.points_m] * 2), np.concatenate([entries.directions, turned]), np.tile(np.arange(30), 2)
     )
     grown = grow(pairs[:1], both, WIDE, num_grown=100)
     assert len(grown.entry) == 30

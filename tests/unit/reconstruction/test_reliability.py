@@ -35,11 +35,13 @@ from pasdedeux.verdict import Level
 from tests.builders.walkers import database_of, random_poses, walk
 
 LENS = Lens(1400.0, (960.0, 540.0))
+NAMES = np.repeat(np.arange(4).astype(str), 96).astype(object)
+"""Of the motion of each row of the database."""
 
 
-def searcher_over(*motions: np.ndarray) -> tuple[Searcher, np.ndarray]:
-    names = np.repeat(np.arange(len(motions)).astype(str), [len(motion) for motion in motions]).astype(object)
-    return Searcher.of(database_of(motions, num_yaws=30, rate_hz=24.0, camera=DatabaseCamera())), names
+def searcher_over(num_walks: int) -> Searcher:
+    walks = [walk(96, seed=seed) for seed in range(num_walks)]
+    return Searcher.of(database_of(walks, num_yaws=30, rate_hz=24.0, camera=DatabaseCamera()))
 
 
 def seen(world: np.ndarray, *, hidden: float = 0.0, middle: np.ndarray | None = None) -> Track:
@@ -73,15 +75,12 @@ def couple_seen() -> list[Track]:
 
 
 @pytest.fixture(scope="module")
-def walkers() -> tuple[Searcher, np.ndarray]:
-    return searcher_over(*(walk(96, seed=seed) for seed in range(4)))
+def searcher() -> Searcher:
+    return searcher_over(4)
 
 
-def test_motion_that_the_database_lacks_is_reported_and_has_the_larger_expected_and_true_error(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
-    searcher, names = walkers
-    left_out = left_out_misfit_m(searcher.database, searcher.index, names)
+def test_motion_that_the_database_lacks_is_reported_and_has_larger_errors(searcher: Searcher) -> None:
+    left_out = left_out_misfit_m(searcher.database, searcher.index, NAMES)
     known, foreign = walk(48, seed=2), np.repeat(random_poses(np.random.default_rng(4), 6), 8, axis=0)
     errors_m, judged = [], []
     for world in (known, foreign):
@@ -98,27 +97,26 @@ def test_motion_that_the_database_lacks_is_reported_and_has_the_larger_expected_
     assert "what would help: takes of such motion in the database, it is farthest at " in far.reason
 
 
-def test_joints_not_seen_are_a_warning_with_their_share(walkers: tuple[Searcher, np.ndarray]) -> None:
-    judged = judge_person(reconstruct_track(walkers[0], seen(walk(48, seed=2), hidden=0.5), Method.FIT))
+def test_joints_not_seen_are_a_warning_with_their_share(searcher: Searcher) -> None:
+    judged = judge_person(reconstruct_track(searcher, seen(walk(48, seed=2), hidden=0.5), Method.FIT))
     assert judged.share_seen == pytest.approx(0.5, abs=0.05)
     assert judged.verdict.level is Level.WARN
     assert "% of the joints are seen" in judged.verdict.reason
 
 
-def test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion(walkers: tuple[Searcher, np.ndarray]) -> None:
-    searcher, names = walkers
-    found = left_out_misfit_m(searcher.database, searcher.index, names)
+def test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion(searcher: Searcher) -> None:
+    found = left_out_misfit_m(searcher.database, searcher.index, NAMES)
     rng = np.random.default_rng(1)
     rows, yaws = evenly_spread(searcher.database.num_rows, 128), rng.uniform(0.0, 30, 128)
     plain = []
     for row, yaw in zip(rows, yaws, strict=True):
-        projections = searcher.database.project()[names != names[row]].reshape(-1, 14, 2)
+        projections = searcher.database.project()[NAMES[row] != NAMES].reshape(-1, 14, 2)
         query = searcher.database.camera.project(searcher.database.turned(row, yaw))
         plain.append(np.linalg.norm(projections - query, axis=-1).mean(axis=-1).min())
     assert 0.5 * np.percentile(plain, 95) < found < 1.2 * np.percentile(plain, 95)
-    assert found == left_out_misfit_m(searcher.database, searcher.index, names)
-    alone, one_name = searcher_over(walk(96, seed=0))
-    assert np.isnan(left_out_misfit_m(alone.database, alone.index, one_name))
+    assert found == left_out_misfit_m(searcher.database, searcher.index, NAMES)
+    alone = searcher_over(1)
+    assert np.isnan(left_out_misfit_m(alone.database, alone.index, NAMES[:96]))
 
 
 def test_a_pitch_at_the_edge_of_what_was_tried_or_badly_known_is_a_doubt() -> None:
@@ -162,28 +160,24 @@ def test_a_track_that_ends_where_another_begins_is_reported_with_the_row_that_jo
     assert set(decide("clip", frame, person, [Decision.from_words(row)])) == {0, 1}
 
 
-def test_few_frames_and_a_stature_against_the_height_of_the_camera_are_doubts(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_few_frames_and_a_stature_against_the_height_of_the_camera_are_doubts(searcher: Searcher) -> None:
     # The camera is as high as the middle of the walker, 0.8 m.
     for length, statures_m, height_m in ((5, {}, None), (48, {0: 1.7}, 1.6)):
         options = SequenceOptions(statures_m=statures_m)
-        found = reconstruct_people(walkers[0], [seen(walk(length, seed=2))], options, camera_height_m=height_m)
+        found = reconstruct_people(searcher, [seen(walk(length, seed=2))], options, camera_height_m=height_m)
         (judged,) = judge_tracks(found).verdicts.values()
         assert judged.level is Level.WARN
         assert ("0.2 s are too short" if length == 5 else "person 0 of 1.70 m would be") in judged.reason
 
 
-def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(searcher: Searcher) -> None:
     tracks = couple_seen()
     for stated, says in (
         ({0: 1.7, 1: 1.7}, ""),
         ({0: 1.7, 1: 1.1}, "by person 1 of 1.10 m: one of both statures is wrong"),
         ({0: 2.5}, "person 1 would be 2.5"),
     ):
-        found = reconstruct_people(walkers[0], tracks, SequenceOptions(statures_m=stated))
+        found = reconstruct_people(searcher, tracks, SequenceOptions(statures_m=stated))
         quality = judge_tracks(found)
         judged = quality.verdicts
         assert found.has_stature == (not says)
@@ -195,12 +189,10 @@ def test_statures_that_contradict_each_other_are_doubts_of_people_and_place(
         assert all(says in verdict.reason for verdict in judged.values())
 
 
-def test_the_place_of_a_partner_who_is_farther_away_than_the_other_is_less_well_known(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_the_place_of_a_partner_who_is_farther_away_than_the_other_is_less_well_known(searcher: Searcher) -> None:
     near, far = couple_seen()
     # The second track is longer; only frames of both count.
-    found = reconstruct_people(walkers[0], [near, replace(far, first_frame=5)])
+    found = reconstruct_people(searcher, [near, replace(far, first_frame=5)])
     *before, last = found.methods
     near, far = last.people
     expected = []
@@ -217,12 +209,10 @@ def test_the_place_of_a_partner_who_is_farther_away_than_the_other_is_less_well_
 
 
 @pytest.mark.parametrize(("height_m", "stature_m"), [(6.0, None), (0.8, 1.7), (0.8, 2.4)])
-def test_a_height_that_would_make_giants_is_a_doubt_and_changes_no_size(
-    walkers: tuple[Searcher, np.ndarray], height_m: float, stature_m: float | None
-) -> None:
+def test_a_height_that_makes_giants_is_a_doubt(searcher: Searcher, height_m: float, stature_m: float | None) -> None:
     stated = {} if stature_m is None else {0: stature_m}
     track = seen(walk(48, seed=2))
-    found = reconstruct_people(walkers[0], [track], SequenceOptions(statures_m=stated), camera_height_m=height_m)
+    found = reconstruct_people(searcher, [track], SequenceOptions(statures_m=stated), camera_height_m=height_m)
     assert bool(found.doubts) == ((height_m, stature_m) != (0.8, 1.7))
     assert found.scene is not None
     if stature_m is None:
@@ -230,17 +220,15 @@ def test_a_height_that_would_make_giants_is_a_doubt_and_changes_no_size(
         assert found.scene.sizes[0] == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_height_does_not_size_a_person_without_feet_below_the_camera(walkers: tuple[Searcher, np.ndarray]) -> None:
+def test_a_height_does_not_size_a_person_without_feet_below_the_camera(searcher: Searcher) -> None:
     track = seen(walk(48, seed=2))
     above = replace(track, keypoints_px=track.keypoints_px - [0.0, 400.0])
-    found = reconstruct_people(walkers[0], [above], SequenceOptions(statures_m={0: 1.3}), camera_height_m=1.5)
+    found = reconstruct_people(searcher, [above], SequenceOptions(statures_m={0: 1.3}), camera_height_m=1.5)
     assert found.doubts == ()
 
 
 @pytest.mark.parametrize("kind", ["overhead", "lying", "five frames"])
-def test_without_evidence_of_the_camera_the_place_fails_and_nobody_passes(
-    walkers: tuple[Searcher, np.ndarray], kind: str
-) -> None:
+def test_without_evidence_of_the_camera_the_place_fails_and_nobody_passes(searcher: Searcher, kind: str) -> None:
     worlds = np.stack([walk(48, seed=2), walk(48, seed=3) + np.array([1.2, 0.0, 0.3])], axis=1)
     if kind == "lying":
         worlds = worlds @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -248,8 +236,8 @@ def test_without_evidence_of_the_camera_the_place_fails_and_nobody_passes(
     shown = worlds[: 5 if kind == "five frames" else None]
     tracks = [replace(seen_by(camera, shown[:, person]), person_id=person, partner_id=1 - person) for person in (0, 1)]
     pitches = [0.0, 0.25, 0.5]
-    pitch = choose_pitch([walkers[0].pitched(tried) for tried in pitches], tracks)
-    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), tracks, pitch=pitch)
+    pitch = choose_pitch([searcher.pitched(tried) for tried in pitches], tracks)
+    found = reconstruct_people(searcher.pitched(pitch.pitch_rad), tracks, pitch=pitch)
     quality = judge_tracks(found, pitches_rad=pitches)
     judged = quality.verdicts
     assert judged["place of 0 and 1"].level is Level.FAIL
@@ -263,9 +251,7 @@ def test_without_evidence_of_the_camera_the_place_fails_and_nobody_passes(
 
 
 @pytest.mark.parametrize(("kind", "says"), [("stands", ""), ("lies", "person 0 may lie, feet to the steep camera")])
-def test_an_image_with_a_second_reading_fails_and_names_it(
-    walkers: tuple[Searcher, np.ndarray], kind: str, says: str
-) -> None:
+def test_an_image_with_a_second_reading_fails_and_names_it(searcher: Searcher, kind: str, says: str) -> None:
     world = walk(48, seed=2, turn_rad=0.0)
     if kind == "lies":
         world = world @ ON_BELLY.T
@@ -273,7 +259,7 @@ def test_an_image_with_a_second_reading_fails_and_names_it(
     pitch = PitchEstimate(np.deg2rad(40.0), 0.03)
     track = seen_by(camera_before(world, pitch.pitch_rad, yaw_rad=np.pi if kind == "lies" else 0.3), world)
     assert not is_on_floor(track)
-    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], pitch=pitch)
+    found = reconstruct_people(searcher.pitched(pitch.pitch_rad), [track], pitch=pitch)
     (judged,) = judge_tracks(found).verdicts.values()
     assert bool(says) == (judged.level is Level.FAIL)
     assert says in judged.reason
@@ -290,48 +276,42 @@ def test_an_image_with_a_second_reading_fails_and_names_it(
         ([1.3] * 4, False),
     ],
 )
-def test_standing_on_one_leg_for_a_while_is_no_doubt_and_lying_down_late_is(
-    ratios: list[float], is_doubt: bool
-) -> None:
+def test_standing_on_one_leg_is_no_doubt_and_lying_down_late_is(ratios: list[float], is_doubt: bool) -> None:
     upright = 0.02 + 0.01 * np.random.default_rng(1).random(20)
     assert may_lie(upright * np.repeat(ratios, 5), upright, frames_per_s=5.0) == is_doubt
     assert not may_lie(np.zeros(0), np.zeros(0), frames_per_s=5.0)
 
 
-def test_a_camera_that_looks_up_from_below_the_floor_is_found_and_reported(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_a_camera_that_looks_up_from_below_the_floor_is_found_and_reported(searcher: Searcher) -> None:
     world = walk(48, seed=2)
     camera = camera_before(world, np.deg2rad(-28.0))
     track = seen_by(camera, world, is_known=True)
     tried = np.deg2rad([-30.0, 0.0, 20.0]).tolist()
-    pitch = choose_pitch([walkers[0].pitched(pitch_rad) for pitch_rad in tried], [track])
-    found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], pitch=pitch)
+    pitch = choose_pitch([searcher.pitched(pitch_rad) for pitch_rad in tried], [track])
+    found = reconstruct_people(searcher.pitched(pitch.pitch_rad), [track], pitch=pitch)
     assert found.scene is not None
     assert np.rad2deg(found.pitch.pitch_rad) == pytest.approx(-28.0, abs=4.0)
     assert found.scene.camera_height_m == pytest.approx(camera.position_m[1], abs=0.5)
     (judged,) = judge_tracks(found, pitches_rad=tried).verdicts.values()
     assert judged.level is Level.WARN
     assert "m below the floor, as before a stage" in judged.reason
-    stated = reconstruct_people(walkers[0].pitched(0.0), [track], pitch=pitch, camera_height_m=1.0)
+    stated = reconstruct_people(searcher.pitched(0.0), [track], pitch=pitch, camera_height_m=1.0)
     assert stated.scene is not None
     assert stated.scene.camera_height_m > 0.0
     # A stature does not contradict a camera below the floor, and is not used if its person is not reconstructed.
     unseen = replace(track, confidence=np.zeros((48, 14)), person_id=1)
     for name, is_used in ((0, True), (1, False)):
         tall = reconstruct_people(
-            walkers[0].pitched(pitch.pitch_rad), [track, unseen], SequenceOptions(statures_m={name: 1.8}), pitch=pitch
+            searcher.pitched(pitch.pitch_rad), [track, unseen], SequenceOptions(statures_m={name: 1.8}), pitch=pitch
         )
         assert set(tall.skipped) == {1}
         assert tall.doubts[0].endswith("state its height (--height, in a study camera_height_m)")
         assert tall.has_stature is is_used
 
 
-def test_searches_under_two_pitches_are_compared_by_the_people_that_both_have(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_searches_under_two_pitches_are_compared_by_the_people_that_both_have(searcher: Searcher) -> None:
     tracks = [replace(seen(walk(24, seed=2)), person_id=name) for name in (0, 1)]
-    both = reconstruct_people(walkers[0], tracks)
+    both = reconstruct_people(searcher, tracks)
     last = both.methods[-1]
     farther = replace(last.people[0], score_m=1.1 * last.people[0].score_m)
     alone = replace(both, methods=(replace(last, people=(farther,)),))
@@ -340,9 +320,7 @@ def test_searches_under_two_pitches_are_compared_by_the_people_that_both_have(
     assert not people._is_nearer(replace(both, methods=()), both)
 
 
-def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_nearer_to_the_image(
-    walkers: tuple[Searcher, np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_poses_are_searched_again_at_a_nearer_pitch(searcher: Searcher, monkeypatch: pytest.MonkeyPatch) -> None:
     world = walk(96, seed=7)
     right, wrong = (PitchEstimate(np.deg2rad(pitch_deg), np.deg2rad(15.0)) for pitch_deg in (20.0, 0.0))
     camera = camera_before(world, right.pitch_rad, distance_m=4.0)
@@ -351,7 +329,7 @@ def test_poses_are_searched_again_where_the_scene_has_another_pitch_if_that_is_n
 
     def error_m(pitch: PitchEstimate, least_rad: float) -> float:
         monkeypatch.setattr(people, "_OTHER_PITCH_RAD", least_rad)
-        found = reconstruct_people(walkers[0].pitched(pitch.pitch_rad), [track], pitch=pitch)
+        found = reconstruct_people(searcher.pitched(pitch.pitch_rad), [track], pitch=pitch)
         return float(root_centred_error_m(found.methods[-1].people[0].positions_m, truth).mean())
 
     assert error_m(wrong, people._OTHER_PITCH_RAD) < 0.6 * error_m(wrong, np.inf)
@@ -374,8 +352,8 @@ def test_an_implausible_camera_is_a_doubt_if_it_was_not_stated() -> None:
     assert doubt_of_camera(wide, is_lens_known=True, is_height_given=False) == ""
 
 
-def test_a_pitch_at_the_edge_raises_the_expected_error(walkers: tuple[Searcher, np.ndarray]) -> None:
-    found = reconstruct_people(walkers[0], [seen(walk(48, seed=2))], pitch=PitchEstimate(0.1, 0.02))
+def test_a_pitch_at_the_edge_raises_the_expected_error(searcher: Searcher) -> None:
+    found = reconstruct_people(searcher, [seen(walk(48, seed=2))], pitch=PitchEstimate(0.1, 0.02))
     expected = [
         judge_tracks(found, pitches_rad=tried).people[0].expected_error_m for tried in ([-1.0, 1.0], [-1.0, -0.9])
     ]
@@ -384,9 +362,7 @@ def test_a_pitch_at_the_edge_raises_the_expected_error(walkers: tuple[Searcher, 
     assert of_one.expected_error_m == expected[0]
 
 
-def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_others(
-    walkers: tuple[Searcher, np.ndarray],
-) -> None:
+def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_others(searcher: Searcher) -> None:
     """Images give the pitch of the rays to people, which is larger than that of the camera."""
     found = []
     for below_rad in (0.0, 0.25):
@@ -394,7 +370,7 @@ def test_people_below_the_middle_of_the_image_leave_the_pitch_as_well_known_as_o
         px = track.keypoints_px + np.array([0.0, 1400.0 * np.tan(below_rad)])
         track = replace(track, keypoints_px=px, lens=replace(LENS, is_known=True))
         pitch = PitchEstimate(below_rad, 0.03)
-        reconstructed = reconstruct_people(walkers[0].pitched(below_rad), [track], pitch=pitch)
+        reconstructed = reconstruct_people(searcher.pitched(below_rad), [track], pitch=pitch)
         assert reconstructed.pitch.pitch_rad == pytest.approx(0.0, abs=0.06)
         found.append(reconstructed.pitch.deviation_rad)
     assert found[1] < 1.5 * found[0]

@@ -33,7 +33,7 @@ KERNELS = {
 """Families of OpenBLAS's kernels, and what a processor needs to run them."""
 TESTS = (
     "tests/property/test_batches.py::test_an_item_is_the_same_to_the_last_bit_in_any_batch",
-    "tests/unit/augmentation/test_augmentation_solvers.py::test_a_variant_is_the_same_to_the_last_bit_alone_and_in_any_batch",
+    "tests/unit/augmentation/test_augmentation_solvers.py::test_a_variant_has_the_same_bits_alone_and_in_any_batch",
 )
 
 

@@ -212,9 +212,7 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
         assert abs(values.mean() - expected) < NUM_ERRORS * values.std() / np.sqrt(ess)
 
 
-def test_under_a_flat_target_bones_point_everywhere_alike_and_people_fill_a_ball(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_flat_target_gives_uniform_directions_of_bones_and_a_ball_of_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cosines between bones and the seed's bones are uniform on -1..1, and cubes of the distance on 0..bound."""
     chart, bound_m = PairChart(standing_pair()), 1.5
     monkeypatch.setattr("pasdedeux.sampling.densities.density.MAX_APART_M", bound_m)

@@ -160,9 +160,7 @@ CUBED = np.arange(FRAMES)[:, None, None, None] ** 3 * [1e-5, 0.0, 0.0]
         ("jerk_ratio", held(), held() + CUBED, held(), 1.0 + 6e-5),
     ],
 )
-def test_each_figure_is_known_of_a_variant_made_for_it_and_stands_at_its_frames(
-    column: str, source: Array, variant: Array, plain: Array, value: float
-) -> None:
+def test_figures_have_known_values(column: str, source: Array, variant: Array, plain: Array, value: float) -> None:
     quality, frames = _measure(Source(source, 30.0, ground_m=0.02), variant, plain=plain)
     assert getattr(quality, column) == pytest.approx(value, rel=1e-9)
     by_frame = getattr(frames, column)
@@ -199,9 +197,7 @@ def test_a_figure_beyond_its_limits_is_a_warning_or_a_failure_and_named() -> Non
         ("bone_error_m", "right_elbow", (0.0, 0.1, 0.0)),
     ],
 )
-def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happened(
-    figure: str, joint: str, moved_m: tuple[float, float, float]
-) -> None:
+def test_a_joint_that_leaps_fails_in_its_frame(figure: str, joint: str, moved_m: tuple[float, float, float]) -> None:
     source = Source(swaying_pair(FRAMES), 30.0)
     pair = np.array(source.positions_m)
     pair[10, 0, BODY22.index(joint)] += moved_m

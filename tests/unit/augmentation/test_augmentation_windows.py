@@ -18,9 +18,7 @@ from tests.builders.moving_pairs import swaying_pair
     longest_s=st.floats(8.0, 40.0),
     overlap_s=st.floats(0.5, 3.9),
 )
-def test_windows_cover_a_take_with_shares_that_add_up_to_one(
-    num_frames: int, rate_hz: float, longest_s: float, overlap_s: float
-) -> None:
+def test_shares_of_windows_add_up_to_one(num_frames: int, rate_hz: float, longest_s: float, overlap_s: float) -> None:
     windows = plan_windows(num_frames, rate_hz, longest_s, overlap_s=overlap_s)
     total = np.zeros(num_frames)
     for window, share in zip(windows, blend_weights(windows), strict=True):

@@ -59,9 +59,7 @@ def test_the_section_of_takes_says_what_their_stage_warns_of(tmp_path: Path, lev
     assert ("Stage ingest: warn: feet float." in text) == (level is Level.WARN)
 
 
-def test_a_page_of_30_takes_has_the_first_pictures_and_rows_and_names_what_lies_beside_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_of_30_takes_shows_some_and_names_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tasks.evaluation.report._MAX_ROWS", 20)
     store = Store(tmp_path)
     page, text, _ = page_of(store, 30)
@@ -86,9 +84,7 @@ def test_a_model_of_any_number_of_arrays_is_one_model(tmp_path: Path, num_arrays
 
 
 @pytest.mark.parametrize(("num_takes", "words"), [(1, "take with variants"), (2, "takes with variants")])
-def test_takes_of_variants_are_counted_in_the_singular_where_there_is_one(
-    tmp_path: Path, num_takes: int, words: str
-) -> None:
+def test_one_take_with_variants_is_counted_in_the_singular(tmp_path: Path, num_takes: int, words: str) -> None:
     stored = []
     for take_id in (f"take{number}" for number in range(num_takes)):
         tables = {"variant_quality": random_columns("variant_quality", 2)}

@@ -316,9 +316,7 @@ def test_a_take_without_contacts_has_no_drifts() -> None:
     assert contact_scores(drifts, item="x") == []
 
 
-def test_the_gap_is_measured_on_the_first_and_last_variant_over_the_middle_second(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_gap_is_that_of_the_first_and_last_variant_in_the_middle_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bulk solver ends 2 and 6 cm away from the other solver, with 20 % and 50 % more energy."""
     solved: list[tuple[str, int, list[str]]] = []
 

@@ -108,9 +108,7 @@ def test_only_held_out_pairs_are_judged_each_beside_the_others_of_its_image(stor
     np.testing.assert_allclose(result.shown.examples["held_out"][0]["truth"], true, atol=1e-6)
 
 
-def test_the_part_of_annotations_of_random_views_is_annotated_and_what_learned_from_the_test_is_refused(
-    store: Store,
-) -> None:
+def test_random_views_are_the_annotated_part_and_lifting_that_learned_from_the_test_is_refused(store: Store) -> None:
     takes, videos, poses = put_truth(store)
     rows = [lifted_row(poses, "seen", 1, "fitted", 0.4)]
     lifted = put_lifted(store, "a", rows, purpose="random_views")
@@ -179,9 +177,7 @@ def test_frames_between_have_the_errors_of_their_span(store: Store, monkeypatch:
     assert list(items.takes) == ["hidden"] * 4
 
 
-def test_a_held_out_take_of_the_priors_is_neither_covered_nor_among_the_real_frames(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_held_out_takes_of_priors_stay_out_of_the_real_frames(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     takes, *_ = put_truth(store)
     rows = pairs_of(2).swapaxes(0, 1).reshape(-1, 17, 3)
     columns, facts = take_rows("both", 2, FRAMES, rate_hz=RATE_HZ, is_held_out=True, pair17_m=rows)
@@ -199,9 +195,7 @@ def test_a_held_out_take_of_the_priors_is_neither_covered_nor_among_the_real_fra
     ("num_draws", "num_points", "wanted"),
     [(0, 4, [1]), (1, 4, [1]), (3, 9, [1, 2, 3]), (1000, 4, [1, 10, 100, 1000]), (1000, 1, [1])],
 )
-def test_coverage_is_measured_from_one_draw_to_all_each_number_once(
-    num_draws: int, num_points: int, wanted: list[int]
-) -> None:
+def test_points_of_coverage_go_from_one_draw_to_all(num_draws: int, num_points: int, wanted: list[int]) -> None:
     assert curve_points(num_draws, num_points) == wanted
 
 
@@ -347,9 +341,7 @@ def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_
     np.testing.assert_allclose(items.times_s, np.tile(np.arange(1, FRAMES) / RATE_HZ, 2))
 
 
-def test_people_of_film_are_scored_at_the_moments_that_its_take_has_by_the_clock_of_the_take(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_people_of_film_are_scored_by_the_clock_of_the_take(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second of film is two seconds of the take, which covers 5 of its 8 frames; person 7 is A, person 3 is B."""
     takes, videos, poses = put_truth(store, "op14_m")
     frames = np.arange(8)
@@ -472,9 +464,7 @@ class Interactions(Features):
         self.learned = {kind: found.shape for kind, found in real.items()}
 
 
-def test_a_model_that_gives_what_the_solver_gives_scores_as_the_solver(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_equal_to_the_solver_scores_as_the_solver(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     """Variant v0 equals its take, and so does a copy.  The held-out take is not learned from."""
     classifiers: list[Interactions] = []
     monkeypatch.setattr(

@@ -168,9 +168,7 @@ def test_lifted_pairs_stand_beside_their_nearest_annotations_and_draws_with_thei
     assert [picture.name for picture in lifting.TOPIC.pictures(result)] == ["nearest.svg"]
 
 
-def test_views_are_scored_by_their_angle_to_the_true_one_and_held_out_ones_are_judged(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_views_are_scored_by_their_angle_to_the_true_view(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     """The heaviest hypothesis is off by a known angle, and the other one is the truth."""
     takes, videos, _ = put_truth(store)
     stored = []
@@ -275,9 +273,7 @@ def test_a_detector_is_scored_by_who_is_who_and_by_errors_beside_those_of_noise_
     np.testing.assert_allclose(items.values["followed"], 3.0 / minutes, rtol=1e-4)
 
 
-def test_the_map_of_coverage_has_draws_where_they_lie_ever_more_from_panel_to_panel(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_map_of_coverage_shows_more_draws_in_each_panel(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     takes = [put_take(store, "one"), put_take(store, "kept_back", is_held_out=True)]
     pairs_m = random_pairs(np.random.default_rng(3), 300, spread_rad=0.3)
     seeds = put_seeds(store, PAIRS[:1])

@@ -191,9 +191,7 @@ def _takes_of(clips: Mapping[str, np.ndarray]) -> list[str]:
     return [TAKES[int(clip[..., 1].mean() / 10.0)] for clips_of_kind in clips.values() for clip in clips_of_kind]
 
 
-def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_either(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_learned_from_test_takes_or_their_variants(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     learned: list[list[str]] = []
     asked: list[list[str]] = []
 
@@ -220,9 +218,7 @@ def test_nothing_learns_from_a_test_take_or_its_variants_and_the_model_saw_none_
         assert (shard.refs("generated"), shard.options(OneTraining).seen) == ((), ()), "the model is left out"
 
 
-def test_several_models_learn_beside_each_other_and_roles_are_classes_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_several_models_are_compared_and_roles_are_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trained: list[Mapping[str, np.ndarray]] = []
 
     def learn(clips: Mapping[str, np.ndarray], *_: object, tells_roles: bool) -> SimpleNamespace:

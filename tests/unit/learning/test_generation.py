@@ -114,9 +114,7 @@ def test_key_frames_that_b_can_take_are_met(here: Here, tmp_path: Path) -> None:
         ({"key_frames": {"waltz": "none.json"}}, r"none\.json does not exist"),
     ],
 )
-def test_what_cannot_be_sampled_is_refused_before_work_starts(
-    here: Here, tmp_path: Path, keys: dict[str, object], sentence: str
-) -> None:
+def test_impossible_sampling_is_refused(here: Here, tmp_path: Path, keys: dict[str, object], sentence: str) -> None:
     for name, frame in (("near", 4), ("far", 99)):
         write_keys(tmp_path / f"{name}.json", [frame], np.zeros((1, 22, 3)))
     files = keys.get("key_frames")
@@ -152,9 +150,7 @@ def digests(folder: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 
-def test_the_command_writes_what_is_usable_and_the_same_again(
-    here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_the_same_again(here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     weights = tmp_path / "w.safetensors"
     weights.write_bytes(write_weights(Weights(make_model())))
     words = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--num", "2", "--scales", "0.9,1.1"]
@@ -171,9 +167,7 @@ def test_the_command_writes_what_is_usable_and_the_same_again(
     assert motion.num_frames == 15
 
 
-def test_the_command_refuses_with_a_sentence_and_writes_nothing(
-    here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_refuses_with_a_sentence(here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     take = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--out", str(tmp_path / "no")]
     far = write_keys(tmp_path / "far.json", [99], np.zeros((1, 22, 3)))
     for name, data in (("bad", b"no weights"), ("narrow", write_weights(Weights(make_model(EXPI18))))):
@@ -194,9 +188,7 @@ def test_the_command_refuses_with_a_sentence_and_writes_nothing(
         assert not (tmp_path / "no").exists()
 
 
-def test_where_nothing_is_usable_the_command_says_so(
-    here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_reports_nothing_usable(here: Here, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [f"poses@{here.take.ref.key[:12]}", "--store", str(here.store.root), "--out", str(tmp_path / "no")]
     source = read_take(here.store, here.take.ref).source
     # The key frame puts B ten metres away, so no contact can be kept.

@@ -110,9 +110,7 @@ def plain_window(store: Store, name: str, start: int, window: int, widest: int) 
     return wanted
 
 
-def test_a_batch_of_ragged_people_is_what_the_tables_hold_and_masks_who_is_not_there(
-    store: Store, windows: PairDataset
-) -> None:
+def test_a_batch_of_ragged_people_is_what_the_tables_hold_with_masks(store: Store, windows: PairDataset) -> None:
     assert {windows[at]["positions"].shape[1] for at in range(len(windows))} == {2, 3}
     order = np.random.default_rng(0).permutation(len(windows))
     batch = windows[order]
@@ -172,9 +170,7 @@ def test_a_folder_gives_the_windows_of_the_store_that_it_was_written_from(tmp_pa
         PairDataset(f"variants:{folder}", 3, seed=1)
 
 
-def test_normalised_positions_have_mean_0_and_deviation_1_on_the_training_side_and_come_back(
-    store: Store, windows: PairDataset
-) -> None:
+def test_normalised_positions_have_mean_0_and_deviation_1_and_come_back(store: Store, windows: PairDataset) -> None:
     normalised = PairDataset("variants:drawn", 1, store=store, stride=1, is_normalised=True, seed=SEED)
     plain = PairDataset("variants:drawn", 1, store=store, stride=1, seed=SEED)[range(len(normalised))]
     batch = normalised[range(len(normalised))]
@@ -194,9 +190,7 @@ def test_normalised_positions_have_mean_0_and_deviation_1_on_the_training_side_a
 @pytest.mark.usefixtures("forking")
 @pytest.mark.filterwarnings("ignore:This DataLoader will create")  # more workers than this machine has cores
 @pytest.mark.parametrize("is_shuffled", [True, False])
-def test_ranks_and_workers_share_an_epoch_without_overlap_and_any_number_of_workers_gives_the_same(
-    windows: PairDataset, is_shuffled: bool
-) -> None:
+def test_ranks_and_workers_share_an_epoch_without_overlap(windows: PairDataset, is_shuffled: bool) -> None:
     from torch.utils.data import DataLoader
 
     every = places([windows[range(len(windows))]])

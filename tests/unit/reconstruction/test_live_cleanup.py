@@ -36,9 +36,7 @@ def cleaned(motion: np.ndarray) -> np.ndarray:
     return np.stack([clean_up.step(frame, pose) for frame, pose in enumerate(motion)])
 
 
-def test_standing_feet_slide_less_and_the_error_and_the_jitter_hardly_rise(
-    dancer: np.ndarray, gliding: np.ndarray
-) -> None:
+def test_standing_feet_slide_less_and_error_and_jitter_hardly_rise(dancer: np.ndarray, gliding: np.ndarray) -> None:
     found = cleaned(gliding)
     before, after = (foot_slide_m(motion, dancer, rate_hz=RATE_HZ) for motion in (gliding, found))
     assert after < 0.4 * before

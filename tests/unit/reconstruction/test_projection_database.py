@@ -114,9 +114,7 @@ def test_a_thinned_database_has_evenly_spaced_poses_that_follow_nothing(most: in
         (np.full((2, 14, 3), np.nan), np.zeros(2), "row 0"),
     ],
 )
-def test_a_database_of_another_skeleton_or_without_values_is_refused(
-    poses: np.ndarray, starts: np.ndarray, message: str
-) -> None:
+def test_a_database_of_wrong_or_missing_poses_is_refused(poses: np.ndarray, starts: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Database(poses.astype(np.float32), starts.astype(bool))
 

@@ -95,9 +95,7 @@ def test_clean_up_can_be_switched_off_and_keeps_bones(searcher: Searcher) -> Non
 
 
 @pytest.mark.parametrize("has_clean_up", [True, False])
-def test_no_bone_ever_changes_and_the_first_poses_wait_for_the_persons_own(
-    searcher: Searcher, has_clean_up: bool
-) -> None:
+def test_no_bone_ever_changes_and_first_poses_wait_for_the_own_bones(searcher: Searcher, has_clean_up: bool) -> None:
     px, _ = video(90)
     px[60:] = px[59:60] + 1.3 * (px[60:] - px[59:60])  # later frames that say otherwise of the person
     options = LiveOptions(lag=4, has_clean_up=has_clean_up)
@@ -134,9 +132,7 @@ def test_a_person_who_leaves_before_the_bones_are_known_is_still_emitted(searche
     assert [pose.frame for pose in run(short, px[:10, :1])] == list(range(10))
 
 
-def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(
-    searcher: Searcher,
-) -> None:
+def test_a_pose_leaves_exactly_the_lag_after_its_image_whatever_comes_later(searcher: Searcher) -> None:
     px, _ = video(30)
     options, early = LiveOptions(lag=4, has_own_proportions=False), []
     first, second = (
@@ -164,9 +160,7 @@ def test_a_stated_lens_puts_people_as_far_away_as_it_says(searcher: Searcher) ->
     assert away[0] == pytest.approx(-mid_hip(truth)[:12, 0, 2].mean(), rel=0.15)
 
 
-def test_a_stated_stature_holds_from_the_first_frame_on_and_gives_the_bones_of_the_whole_video(
-    searcher: Searcher,
-) -> None:
+def test_a_stated_stature_holds_from_the_first_frame_and_gives_the_bones_of_the_video(searcher: Searcher) -> None:
     px, _ = video(70)
     options, found = LiveOptions(has_clean_up=False), []
     for stated in ({}, {0: 1.9}, {0: 1.9, EVERYBODY_ELSE: 1.5}, {EVERYBODY_ELSE: 1.9}):

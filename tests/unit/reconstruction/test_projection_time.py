@@ -120,9 +120,7 @@ def test_choices_follow_a_motion_of_the_database() -> None:
     assert (np.diff(neighbours.row[frames, viterbi]) == 1).mean() > 0.8
 
 
-def test_viterbi_without_weight_is_nearest_and_frames_without_candidates_stay_empty(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_viterbi_without_weight_is_nearest_and_empty_frames_stay_empty(monkeypatch: pytest.MonkeyPatch) -> None:
     database, neighbours = toy_search()
     projection, distance = neighbours.projection.copy(), neighbours.distance_m.copy()
     projection[[0, 7, 8]] = -1

@@ -54,7 +54,7 @@ def distances_to_all(database: Database, query: np.ndarray, weights: np.ndarray)
     return np.array(out)
 
 
-def test_every_projection_is_in_one_cluster_whose_representative_is_a_member(
+def test_clusters_partition_projections_and_contain_their_representative(
     database: Database, clusters: Clusters
 ) -> None:
     assert sorted(np.concatenate(clusters.members).tolist()) == list(range(database.num_projections))
@@ -80,9 +80,7 @@ def test_equal_projections_and_more_clusters_than_projections_leave_no_empty_clu
     assert all(len(members) for members in found.members)
 
 
-def test_the_search_gives_ten_of_each_of_five_clusters_best_first_at_their_true_distances(
-    database: Database, clusters: Clusters
-) -> None:
+def test_the_search_gives_the_ten_best_of_each_of_five_clusters(database: Database, clusters: Clusters) -> None:
     query, weights = queries(40, seed=11), np.ones((40, 14))
     query[4, 3] = np.nan
     weights[5, 7], weights[6] = 0.0, np.linspace(0.2, 1.0, 14)

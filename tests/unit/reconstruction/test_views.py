@@ -60,9 +60,7 @@ def together(seen: list[FilmedCamera], database: SearchedDatabase) -> SeenTogeth
     return reconstruct_views([camera.tracks for camera in seen], database)
 
 
-def test_two_unknown_cameras_give_poses_and_places(
-    together: SeenTogether, seen: list[FilmedCamera], truth_m: np.ndarray
-) -> None:
+def test_two_unknown_cameras_suffice(together: SeenTogether, seen: list[FilmedCamera], truth_m: np.ndarray) -> None:
     pose_m, place_m = errors_m(together.people.methods[-1].people, truth_m, seen[0])
     assert pose_m < 0.03
     assert place_m < 0.04
@@ -99,9 +97,7 @@ def test_bones_keep_their_lengths_before_several_cameras(together: SeenTogether)
     assert np.ptp(lengths[:, legs], axis=0).max() < 1e-6
 
 
-def test_expected_errors_of_several_cameras_hold(
-    together: SeenTogether, seen: list[FilmedCamera], truth_m: np.ndarray
-) -> None:
+def test_expected_errors_of_cameras_hold(together: SeenTogether, seen: list[FilmedCamera], truth_m: np.ndarray) -> None:
     pose_m, _ = errors_m(together.people.methods[-1].people, truth_m, seen[0])
     judged = together.judged.people.values()
     assert 0.5 * pose_m < np.mean([reliability.expected_error_m for reliability in judged]) < 2.0 * pose_m
@@ -243,9 +239,7 @@ def page_with(together: SeenTogether, found: FoundFilm, out: Path, *, later_s: f
     return Page(written.page.read_text())
 
 
-def test_the_page_shows_the_film_of_a_camera_with_another_clock(
-    together: SeenTogether, seen: list[FilmedCamera], tmp_path: Path
-) -> None:
+def test_film_on_the_page_follows_its_clock(together: SeenTogether, seen: list[FilmedCamera], tmp_path: Path) -> None:
     """The film has the first 24 frames of the second camera."""
     page = page_with(together, write_side(tmp_path, seen[1], 24), tmp_path / "out")
     assert (page.problems, page.outside, page.unnamed) == ([], [], [])
@@ -288,7 +282,7 @@ def test_the_film_on_the_page_is_the_middle_of_what_it_has_of_the_take(
         assert page_with(together, found, tmp_path / "out", later_s=later_s).figures == []
 
 
-def test_files_have_the_steady_images_of_all_cameras_by_their_own_clocks(
+def test_files_have_steady_images_of_all_cameras(
     together: SeenTogether, seen: list[FilmedCamera], tmp_path: Path
 ) -> None:
     """The second camera pans by a pixel a frame, so each matrix shows its frame."""
@@ -313,9 +307,7 @@ def test_files_have_the_steady_images_of_all_cameras_by_their_own_clocks(
     np.testing.assert_array_equal(steady[1, :, 0, 2], expected)
 
 
-def test_a_camera_with_fewer_people_and_other_joints_counts_for_those_whom_it_shows(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_camera_counts_for_the_people_whom_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     store, out, front, side = build_store(tmp_path / "store"), tmp_path / "out", tmp_path / "front", tmp_path / "side"
     for folder, yaw_rad in ((front, 0.3), (side, 1.6)):
         folder.mkdir()

@@ -94,7 +94,7 @@ def plain_fit(
     return posed(found.x.reshape(bones.shape)), lambda poses: float((residuals(poses) ** 2).sum())
 
 
-def test_windows_have_the_least_energy_of_a_plain_fit_behind_poses_that_stay(
+def test_windows_have_the_least_energy_of_a_plain_fit(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     truth, candidates, _ = seen_walk(rng, 7)

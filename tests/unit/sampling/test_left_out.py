@@ -29,9 +29,7 @@ IMAGES = [project_pair(pair, VIEWS[1]) for pair in PAIRS[:6]]
     st.integers(0, 6),
     st.booleans(),
 )
-def test_moments_are_left_out_whole_and_every_so_many_of_them(
-    rows: list[tuple[str, int]], every: int, has_stills: bool
-) -> None:
+def test_every_nth_moment_is_left_out_as_a_whole(rows: list[tuple[str, int]], every: int, has_stills: bool) -> None:
     names, frames = [name for name, _ in rows], np.array([frame for _, frame in rows])
     left = is_left_out(names, frames, every, {"a"} if has_stills else ())
     moments = [(name, frame if has_stills and name == "a" else frame // 30) for name, frame in rows]

@@ -34,9 +34,7 @@ def tracks_of(change: np.ndarray) -> np.ndarray:
     [(0, [WRIST], ELBOW, WRIST), (1, list(range(17)), 0, NUM_JOINTS)],
     ids=["forearm", "whole person"],
 )
-def test_a_turning_part_has_its_rate_in_its_own_block_and_in_no_other(
-    person: int, joints: list[int], pivot: int, block: int
-) -> None:
+def test_a_turning_part_has_its_rate_in_its_block_alone(person: int, joints: list[int], pivot: int, block: int) -> None:
     rate = 0.03
     tracks = np.repeat(STILL[None], 5, axis=0)
     around = STILL[person, joints] - STILL[person, pivot]
@@ -116,9 +114,7 @@ def test_an_annotation_that_is_nearest_under_several_views_counts_once() -> None
     least=st.floats(0.01, 10.0),
     beyond=st.floats(0.0, 10.0),
 )
-def test_the_bound_on_the_ratio_is_never_exceeded(
-    count: int, square: float, here: float, least: float, beyond: float
-) -> None:
+def test_the_ratio_never_exceeds_its_bound(count: int, square: float, here: float, least: float, beyond: float) -> None:
     there = least + beyond
     assert (
         log_normal_ratio(count, square, here, there, False) <= log_normal_ratio(count, square, here, least, True) + 1e-9

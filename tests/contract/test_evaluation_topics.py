@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import re
 import tomllib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -22,12 +23,13 @@ from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.matching import Method
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, SourceCredit, Store
-from tasks import generation, ingest, reconstruction, training
+from tasks import generation, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs
 from tasks.stage.judgements import verdict_of, verdicts_of_parts
 from tests.builders.browser import in_browser
+from tests.builders.ingest_runs import planned, run
 from tests.builders.pages import Page
 from tests.builders.painted_film import painted, write_keys
 from tests.builders.real_study import SMALL, BuiltStudy
@@ -73,8 +75,8 @@ def inputs_of(store: Store, stage: Stage) -> StageInputs:
 
 def evaluate(store: Store, stage: Stage, **settings: object) -> list[Manifest]:
     """Return what each shard committed; the last is the report."""
-    planned = stage.plan(inputs_of(store, stage), stage.parameters(**settings))
-    return [store.manifest(stage.run_shard(shard, store)) for shard in planned]
+    shards = stage.plan(inputs_of(store, stage), stage.parameters(**settings))
+    return [store.manifest(stage.run_shard(shard, store)) for shard in shards]
 
 
 def page_of(store: Store, made: Sequence[Manifest]) -> str:
@@ -83,6 +85,7 @@ def page_of(store: Store, made: Sequence[Manifest]) -> str:
 
 
 Judged = list[tuple[Criterion, Items, Collection[str]]]
+Evaluated = tuple[Store, list[Manifest], str]
 
 
 @pytest.fixture(scope="module")
@@ -101,9 +104,7 @@ def judged() -> Iterator[Judged]:
 
 
 @pytest.fixture(scope="module")
-def evaluated(
-    small: BuiltStudy, judged: Judged, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Store, list[Manifest], str]:
+def evaluated(small: BuiltStudy, judged: Judged, tmp_path_factory: pytest.TempPathFactory) -> Evaluated:
     """Return the small study's store with every topic scored in it, what was made, and the page."""
     store = Store(small.copy_store(tmp_path_factory.mktemp("topics")))
     _detect(store)
@@ -116,32 +117,23 @@ def evaluated(
 
 def _dance_again(store: Store) -> None:
     """Put more takes of each duet into the small study's store, long enough to predict: splits by take need two."""
-    told = {"duration_s": 3.1, "count": 2}
-    again = [duet | told for duet in tomllib.loads(SMALL)["ingest"]["duets"]]
-    planned = ingest.plan(
-        StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"duets": again, "rate_hz": 12.0})
-    )
-    for shard in planned:
-        ingest.run_shard(shard, store)
+    again = [duet | {"duration_s": 3.1, "count": 2} for duet in tomllib.loads(SMALL)["ingest"]["duets"]]
+    run(store, planned(duets=again, rate_hz=12.0))
 
 
 def _film(store: Store, folder: Path) -> None:
     """Put a shot of a film into the small study's store."""
     film = write_film(folder / "walk.mp4", (painted(0, frame) for frame in range(12)))
     source = {"id": "walk", "path": film, "keys": write_keys(folder / "keys.csv", [0, 11]), "leave_one_out_every": 0}
-    for shard in ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"videos": [source]})):
-        ingest.run_shard(shard, store)
+    run(store, planned(videos=[source]))
 
 
 def _learn_to_draw(store: Store) -> None:
     """Put a model that draws scales itself into the small study's store, hardly trained."""
-    told = {
-        "splits": ["cross_interaction"],
-        "models": ["copy", "naive_fk", "ridge_scale", "actor_like"],
-        "actor_like": {"num_steps": 1},
-    }
+    models = ["copy", "naive_fk", "ridge_scale", "actor_like"]
+    trained = {"splits": ["cross_interaction"], "models": models, "actor_like": {"num_steps": 1}}
     drawn = {"model": "actor_like", "num_variants": 2}
-    for stage, section in ((training.STAGE, told), (generation.STAGE, drawn)):
+    for stage, section in ((training.STAGE, trained), (generation.STAGE, drawn)):
         for shard in stage.plan(inputs_of(store, stage), stage.parameters.model_validate(section)):
             stage.run_shard(shard, store)
 
@@ -149,18 +141,15 @@ def _learn_to_draw(store: Store) -> None:
 def _detect(store: Store) -> None:
     """Put the held-out take as a detector sees it into the small study's store, and what is reconstructed of that."""
     section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "has_detector": True}}
-    planned = ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate(section))
-    (seen,) = (ingest.run_shard(one, store) for one in planned if (one.partition, one.name) == ("hug", "detector"))
+    shards = [shard for shard in planned(**section) if (shard.partition, shard.name) == ("hug", "detector")]
     database = [made for made in store.artifacts("projections") if "projections" in made.tables]
-    inputs = StageInputs({"annotations": [store.manifest(seen)], "projections": database}, seed=3)
+    inputs = StageInputs({"annotations": list(run(store, shards).values()), "projections": database}, seed=3)
     for shard in reconstruction.plan(inputs, reconstruction.ReconstructionParameters(methods=(Method.NEAREST,))):
         reconstruction.run_shard(shard, store)
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
-def test_what_a_topic_finds_arrives_in_the_report(
-    evaluated: tuple[Store, list[Manifest], str], topic: Topic[Any]
-) -> None:
+def test_what_a_topic_finds_arrives_in_the_report(evaluated: Evaluated, topic: Topic[Any]) -> None:
     store, made, page = evaluated
     parts = [one for one in made if one.partition == topic.name]
     assert parts, f"the small study has nothing for topic {topic.name}: let EVERYTHING ask for it"
@@ -187,9 +176,7 @@ def test_what_a_topic_finds_arrives_in_the_report(
     assert shown > 0
 
 
-def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_baselines(
-    evaluated: tuple[Store, list[Manifest], str],
-) -> None:
+def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_baselines(evaluated: Evaluated) -> None:
     store, made, _ = evaluated
     judged = 0
     for part in made:
@@ -225,9 +212,7 @@ def test_no_criterion_fails_the_truth(evaluated: Any, judged: Judged, topic: Top
         assert verdict.level is not Level.FAIL, verdict.reason
 
 
-def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(
-    evaluated: tuple[Store, list[Manifest], str],
-) -> None:
+def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(evaluated: Evaluated) -> None:
     store, made, _ = evaluated
     (part,) = [one for one in made if one.partition == "realism"]
     scores = store.read(part.ref, "scores")
@@ -237,9 +222,7 @@ def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(
     assert len(set(of_solver.tolist())) == 1  # chance is the same for what is predicted and what is drawn
 
 
-def test_the_page_is_whole_small_and_opens_in_a_browser(
-    evaluated: tuple[Store, list[Manifest], str], tmp_path: Path
-) -> None:
+def test_the_page_is_whole_small_and_opens_in_a_browser(evaluated: Evaluated, tmp_path: Path) -> None:
     store, made, _ = evaluated
     text = store.attachment(made[-1].ref, "report.html").decode()
     page = Page(text)
@@ -247,26 +230,16 @@ def test_the_page_is_whole_small_and_opens_in_a_browser(
     assert {link.removeprefix("#") for link in page.links} <= page.ids
     assert len(text) < 5e6
     assert len(page.scenes) >= 6
-    probe = (
-        "document.querySelectorAll('figure.player').forEach(ready); return document.querySelectorAll('canvas').length;"
-    )
-    answer = in_browser(text, probe, tmp_path)
+    players = "document.querySelectorAll('figure.player').forEach(ready);"
+    answer = in_browser(text, f"{players} return document.querySelectorAll('canvas').length;", tmp_path)
     assert answer == {"found": len(page.scenes), "errors": []}
 
 
-def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
-    evaluated: tuple[Store, list[Manifest], str],
-) -> None:
+def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(evaluated: Evaluated) -> None:
     store, made, page = evaluated
-    headings = [part.split("<")[0] for part in page.split('<h2 id="')[1:]]
-    headings = [heading.split(">")[1] for heading in headings]
-    assert headings == [
-        "What was built",
-        "Is it good?",
-        *(topic.heading for topic in TOPICS),
-        "Skipped, and why",
-        "Sources and licences",
-    ]
+    headings = re.findall(r'<h2 id="[^"]*">(.*?)<', page)
+    own = [topic.heading for topic in TOPICS]
+    assert headings == ["What was built", "Is it good?", *own, "Skipped, and why", "Sources and licences"]
     judged = {one.partition for one in made if verdict_of(one) is not None}
     table = store.read(made[-1].ref, "verdicts")
     ours = [name for stage, name in zip(table["stage"], table["partition"], strict=True) if stage == "evaluation"]
@@ -284,16 +257,16 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
 
 
 def test_topics_that_need_torch_are_planned_everywhere_and_its_lack_is_one_sentence(
-    evaluated: tuple[Store, list[Manifest], str], monkeypatch: pytest.MonkeyPatch
+    evaluated: Evaluated, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, _, _ = evaluated
-    asked = {"num_realism_variants": 2, "num_downstream_seeds": 1}
-    topics = [topic for topic in TOPICS if topic.name in ("realism", "recognition", "prediction")]
-    stage = evaluation_stage(topics)
-    here = stage.plan(inputs_of(store, stage), stage.parameters(**asked))
+    names = {"realism", "recognition", "prediction"}
+    stage = evaluation_stage([topic for topic in TOPICS if topic.name in names])
+    given = inputs_of(store, stage), stage.parameters(num_realism_variants=2, num_downstream_seeds=1)
+    here = stage.plan(*given)
     monkeypatch.setattr("pasdedeux.learning.settings.find_spec", lambda name: None)
-    assert stage.plan(inputs_of(store, stage), stage.parameters(**asked)) == here
-    assert {shard.partition for shard in here[:-1]} == {topic.name for topic in topics}
+    assert stage.plan(*given) == here
+    assert {shard.partition for shard in here[:-1]} == names
     for shard in here[:-1]:
         with pytest.raises(InputError, match=r"needs torch, which is not installed .* --set evaluation.num_\w+=0"):
             stage.run_shard(shard, store)
@@ -344,16 +317,8 @@ def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Pa
     assert set(stage.parameters.model_fields) == {"title", "description", "num_toys"}
     made = evaluate(store, stage, num_toys=3)
     page = page_of(store, made)
-    for text in (
-        "Toys & games",
-        "How many toys there are.",
-        "Toys were counted.",
-        "6 toys.",
-        "Toys by name",
-        "<td>6</td>",
-        "Toys break.",
-    ):
-        assert text in page
+    words = ("Toys & games", "How many toys there are.", "Toys were counted.", "6 toys.", "Toys by name", "Toys break.")
+    assert all(text in page for text in (*words, "<td>6</td>"))
     table = store.read(made[-1].ref, "verdicts")
     names = ("partition", "level", "value", "baseline", "baseline_name", "count", "thing")
     toys = [row for row in zip(*(table[name].tolist() for name in names), strict=True) if row[0].startswith("toys")]
@@ -377,7 +342,7 @@ def test_another_licence_of_the_same_data_is_another_page(tmp_path: Path) -> Non
     assert once[-1].key != again[-1].key
 
 
-def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest], str]) -> None:
+def test_only_what_was_held_out_is_judged(evaluated: Evaluated) -> None:
     _, made, _ = evaluated
     assert [verdict_of(one).count > 0 for one in made if one.partition == "sets"] == [True]
     for one in made:
@@ -386,7 +351,7 @@ def test_only_what_was_held_out_is_judged(evaluated: tuple[Store, list[Manifest]
                 assert set(verdict.paired.takes) == {"hug"}, "the take that is held out"
 
 
-def test_what_lifting_fills_in_has_verdicts_of_its_own(evaluated: tuple[Store, list[Manifest], str]) -> None:
+def test_what_lifting_fills_in_has_verdicts_of_its_own(evaluated: Evaluated) -> None:
     store, made, page = evaluated
     judged = {name for one in made if one.partition == "lifting" for name in verdicts_of_parts(one)}
     assert judged == {one.name for one in lifting.TOPIC.criteria}

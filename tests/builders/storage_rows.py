@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,11 @@ def put(
         sources=[source],
     )
     return store.manifest(ref)
+
+
+def having(table: str, manifests: Iterable[Manifest]) -> list[Manifest]:
+    """Return the artifacts that have a table."""
+    return [manifest for manifest in manifests if table in manifest.tables]
 
 
 def take_rows(

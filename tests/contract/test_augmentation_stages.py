@@ -121,7 +121,7 @@ def test_pairs_get_variants_with_figures(store: Store, monkeypatch: pytest.Monke
     assert verdict.value == pytest.approx(np.mean(quality["contact_drift_m"]))
     assert verdict.value < verdict.baseline
     whole = stage_verdict(made)
-    drifts = [store.read(one.ref, "variant_quality")["contact_drift_m"] for one in made]
+    drifts = [store.read(manifest.ref, "variant_quality")["contact_drift_m"] for manifest in made]
     assert whole is not None
     assert (whole.count, whole.value) == (4, pytest.approx(np.concatenate(drifts).mean())), "however variants are cut"
 
@@ -310,8 +310,8 @@ def test_adding_a_model_or_a_split_leaves_the_others_keys_alone(store: Store) ->
     assert {shard.key for shard in some} < {shard.key for shard in more}
     assert len(more) == 8
     made = train(store, more)
-    near, far = (made[f"cross_scale {name}"] for name in ("near", "far"))
-    assert [one.facts["description"]["config"] for one in (near, far)] == [{"num_iterations": 1}, {"num_iterations": 9}]
+    configs = [made[f"cross_scale {name}"].facts["description"]["config"] for name in refining]
+    assert configs == [{"num_iterations": 1}, {"num_iterations": 9}]
 
 
 def test_variants_that_failed_are_tested_on_and_not_learned_from(store: Store, pair: Pair) -> None:
@@ -338,16 +338,16 @@ def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed(store: S
     }
     killed = Store(tmp_path / "other")
     done: list[list[Manifest]] = []
-    for one in (store, killed):
-        takes = [put_take(one, "one")]
-        shards = plan_training(takes, augment(one, takes), **chosen)
+    for place in (store, killed):
+        takes = [put_take(place, "one")]
+        shards = plan_training(takes, augment(place, takes), **chosen)
         names = ["paper_cvae-segment0", "paper_cvae-segment1", "ridge_scale", "ridge_adapted"]
         assert [shard.name for shard in shards] == names
-        if one is killed:
-            assert train_until_killed(shards, one.root, step=3) == -signal.SIGKILL
-            assert [shard.name for shard in shards if one.find("training", shard.key)] == names[:1]
+        if place is killed:
+            assert train_until_killed(shards, place.root, step=3) == -signal.SIGKILL
+            assert [shard.name for shard in shards if place.find("training", shard.key)] == names[:1]
         done.append(
-            [one.find("training", shard.key) or one.manifest(TRAINING.run_shard(shard, one)) for shard in shards]
+            [place.find("training", shard.key) or place.manifest(TRAINING.run_shard(shard, place)) for shard in shards]
         )
     assert [made.ref for made in done[0]] == [made.ref for made in done[1]]
     tables = [(set(made.tables) - {"training_log"}).pop() for made in done[0]]
@@ -402,7 +402,7 @@ def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_seeds_of_its_own(sto
     }
     made = train(store, shards)
     facts = {name: made[f"cross_interaction {name}"].facts for name in ("again", "again_seed2", "copy_on18")}
-    assert [one["skeleton"] for one in facts.values()] == ["body22", "body22", "expi18"]
+    assert [known["skeleton"] for known in facts.values()] == ["body22", "body22", "expi18"]
     one, other = (read_arrays(store, made[f"cross_interaction {name}"].ref) for name in ("again", "again_seed2"))
     assert not np.array_equal(one["pose.weight"], other["pose.weight"])
 

@@ -45,7 +45,7 @@ SAID = {
 def people_of_waltz() -> tuple[np.ndarray, float]:
     """Return the positions (frame, 2, 22, 3) of four seconds of a waltz, metres, and their rate."""
     motions = [motion.resample(30.0) for motion in make_duet("waltz", duration_s=4.0).motions]
-    return np.stack([derive_working_poses(one, LAYOUTS["body22"]).body22_m for one in motions], axis=1), 30.0
+    return np.stack([derive_working_poses(motion, LAYOUTS["body22"]).body22_m for motion in motions], axis=1), 30.0
 
 
 def write_waltz(folder: Path, *, metres_per_unit: float = 0.01, people: str = "AB") -> None:

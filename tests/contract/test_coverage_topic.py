@@ -20,7 +20,7 @@ from tasks.evaluation.coverage import (
 from tasks.rows.draw_sets import baselines_of, read_draw_sets
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import ONE_OF_THE_PRIOR, QUICK, put_take, run_chains, with_seeds
-from tests.builders.storage_rows import put
+from tests.builders.storage_rows import having, put
 
 
 def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_only_there(inputs: Any) -> None:
@@ -30,7 +30,7 @@ def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_
     found = draws_from_first_seeds(store, tuple(manifest.ref for manifest in made))
     assert {name: len(draws.pairs_m) for name, draws in found.items()} == {"prior_only_first_seed": 8}
     # A sweep of the prior alone is a baseline, whatever its name.
-    draw_sets = read_draw_sets(store, [manifest.ref for manifest in made if "draws" in manifest.tables])
+    draw_sets = read_draw_sets(store, [manifest.ref for manifest in having("draws", made)])
     assert baselines_of(draw_sets) == ["grown", "prior_only"]
 
 
@@ -62,7 +62,7 @@ def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
 def test_chains_that_run_side_by_side_cover_in_the_order_in_which_they_drew(inputs: Any) -> None:
     store, tables = inputs
     made = run_chains(store, with_seeds(store, tables, num_seeds=2), densities=("prior_only",))
-    refs = [manifest.ref for manifest in made if "draws" in manifest.tables]
+    refs = [manifest.ref for manifest in having("draws", made)]
     (found,) = read_draw_sets(store, refs).values()
     parts = [store.read(ref, "draws", columns=["draw", "pair17_m"]) for ref in refs]
     numbers, pairs = (np.concatenate([part[name] for part in parts]) for name in ("draw", "pair17_m"))
@@ -74,7 +74,7 @@ def test_real_pairs_that_cover_are_not_those_to_be_covered(inputs: Any, monkeypa
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=4)
     made = run_chains(store, given, **ONE_OF_THE_PRIOR)
-    draws = [manifest for manifest in made if "draws" in manifest.tables]
+    draws = having("draws", made)
     compared: list[set[bytes]] = []
 
     def levels(truth_m: np.ndarray, real_m: np.ndarray, generator: np.random.Generator) -> CoverageCurve:

@@ -45,13 +45,13 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     store = Store(tmp_path_factory.mktemp("store"))
     duets = [{"name": "waltz", "count": 3, "duration_s": 2}, {"name": "hug", "count": 1, "duration_s": 2}]
     shards = planned(rate_hz=15, duets=duets, held_out=[HELD_OUT])
-    takes = [made for (_, name), made in run(store, [one for one in shards if one.name == "take"]).items()]
+    takes = [made for (_, name), made in run(store, [shard for shard in shards if shard.name == "take"]).items()]
     inputs = StageInputs({"poses": takes, "takes": takes}, seed=3)
     told = AugmentationParameters(scales=(0.8, 1.2), persons=("A",), kinds=("uniform",))
-    variants = [store.manifest(augmentation.run_shard(one, store)) for one in augmentation.plan(inputs, told)]
+    variants = [store.manifest(augmentation.run_shard(shard, store)) for shard in augmentation.plan(inputs, told)]
     draws = [store.manifest(commit_rows(store, "draws", 7, stage="chains", partition="ic-seed0"))]
     made = {"ingest": takes, "augmentation": variants, "chains": draws}
-    records = {stage: [ShardRecord.of(one, store) for one in found] for stage, found in made.items()}
+    records = {stage: [ShardRecord.of(manifest, store) for manifest in found] for stage, found in made.items()}
     record_latest(store, "toy", "run-1", records)
     return store
 
@@ -77,7 +77,7 @@ def test_clips_say_joints_rate_and_unit_and_give_numpy_and_pandas(store: Store) 
 def test_contacts_of_a_clip_are_the_rows_of_the_table_that_is_exported(store: Store, tmp_path: Path) -> None:
     export_reference(store, "contacts:toy", "csv", tmp_path)
     exported = pd.read_csv(tmp_path / "contacts.csv")
-    variant = next(one for one in Data(store).variants("toy") if "waltz" in one.name)
+    variant = next(clip for clip in Data(store).variants("toy") if "waltz" in clip.name)
     assert variant.source is not None
     rows = exported[exported["take_id"] == variant.source.name]
     of_take, of_variant = rows["variant_id"].isna(), rows["variant_id"] == "A-uniform-0.80"
@@ -98,7 +98,7 @@ def test_contacts_of_a_clip_are_the_rows_of_the_table_that_is_exported(store: St
 
 
 def test_a_contact_that_the_study_states_for_variants_stands_in_them_and_not_in_the_take(store: Store) -> None:
-    take = next(one for one in Data(store).takes("toy") if "waltz" in one.name)
+    take = next(clip for clip in Data(store).takes("toy") if "waltz" in clip.name)
     hands = {"person_a": "A", "joint_a": "left_wrist", "person_b": "B", "joint_b": "right_ankle"}
     stated = UserContact(**hands, start_frame=0, stop_frame=30, weight=1.0)  # type: ignore[arg-type]
     asked = AugmentationParameters(scales=(1.1,), persons=("A",), kinds=("uniform",), contacts={take.name: (stated,)})
@@ -118,8 +118,8 @@ def test_clips_and_draws_show_themselves_with_the_player_of_the_report(store: St
     some = data.pairs("draws:toy", count=3)
     np.testing.assert_array_equal(some.positions_m, draws.positions_m[some.rows])
     assert some.rows.tolist() == [0, 3, 6]
-    (one,) = data.pairs("draws:toy#4").positions_m
-    np.testing.assert_array_equal(one, draws.positions_m[4])
+    (pair_m,) = data.pairs("draws:toy#4").positions_m
+    np.testing.assert_array_equal(pair_m, draws.positions_m[4])
     for shown, panels in ((data.takes("toy")[0], 1), (data.variants("toy")[0], 2), (draws, 1)):
         frame = Page(f"<html>{shown._repr_html_()}</html>")
         assert (frame.problems, frame.outside) == ([], [])
@@ -268,5 +268,5 @@ def test_the_example_chooses_the_best_variants_and_its_list_is_obeyed(store: Sto
 def drift_of_variants(store: Store) -> dict[str, float]:
     """Return the contact drift of each variant by its name; NaN where nothing is in contact."""
     rows = open_table("variant_quality:toy", store, columns=["take_id", "variant_id", "contact_drift_m"])
-    columns = zip(*(rows[one] for one in rows.column_names), strict=True)
+    columns = zip(*(rows[name] for name in rows.column_names), strict=True)
     return {f"{take}, {name}": float(drift) for take, name, drift in columns}

@@ -52,12 +52,12 @@ def folder(store: Store, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    return {str(one.relative_to(folder)): file_sha256(one) for one in sorted(folder.rglob("*")) if one.is_file()}
+    return {str(path.relative_to(folder)): file_sha256(path) for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def splits_of(folder: Path, table: str) -> dict[str, int]:
     found = sorted((folder / "data" / table).glob("*.parquet"))
-    return {one.name.split("-")[0]: pq.read_metadata(one).num_rows for one in found}
+    return {path.name.split("-")[0]: pq.read_metadata(path).num_rows for path in found}
 
 
 def test_mlcroissant_reads_every_record_set(folder: Path) -> None:
@@ -110,7 +110,7 @@ def test_the_card_is_one_of_the_hub_and_has_the_features_of_the_files(folder: Pa
     assert {path.name for path in (folder / "data").iterdir()} == set(infos)
     for table, info in infos.items():
         assert Features._from_yaml_list(info["features"]) == Features.from_arrow_schema(arrow_schema(TABLES[table]))
-        assert {one["name"]: one["num_examples"] for one in info["splits"]} == splits_of(folder, table)
+        assert {split["name"]: split["num_examples"] for split in info["splits"]} == splits_of(folder, table)
     assert (folder / "CREDITS.txt").is_file()
     assert [path.name for path in (folder / "LICENSES").iterdir()] == ["CC0.txt"]
 
@@ -174,8 +174,8 @@ def test_figures_are_those_of_the_rows(folder: Path) -> None:
         assert found["count"] == len(values)
         quantiles = np.quantile(values, (0.01, 0.5, 0.99), axis=0)
         mine = [values.mean(0), values.std(0), values.min(0), values.max(0), *quantiles]
-        for key, one in zip(("mean", "std", "min", "max", "q01", "q50", "q99"), mine, strict=True):
-            np.testing.assert_allclose(found[key], one, atol=2e-6, err_msg=f"{name} {key}")
+        for key, figure in zip(("mean", "std", "min", "max", "q01", "q50", "q99"), mine, strict=True):
+            np.testing.assert_allclose(found[key], figure, atol=2e-6, err_msg=f"{name} {key}")
     rates = stats["train"]["poses"]["contact_rate"]
     assert rates["count"] == 24
     assert 0 < max(rates["mean"]) <= 1
@@ -187,7 +187,7 @@ def test_a_folder_comes_into_another_store_as_what_it_was(folder: Path, store: S
     assert dataset.digest == open_dataset(store, "made@1").digest
     assert num_new == 9
     assert verify(other).is_ok
-    names = [[clip.name for clip in Data(one).variants("made@1")] for one in (store, other)]
+    names = [[clip.name for clip in Data(place).variants("made@1")] for place in (store, other)]
     assert names[0] == names[1]
     assert read_folder(folder, other)[1] == 0
     again = tmp_path / "again"
@@ -355,6 +355,8 @@ def test_a_field_is_described_with_its_unit_and_its_axes(
     folder: Path, table: str, name: str, description: str, shape: str | None
 ) -> None:
     sets = json.loads((folder / "croissant.json").read_text())["recordSet"]
-    (field,) = [one for record in sets for one in record.get("field", ()) if one["name"] == f"{table}-rows/{name}"]
+    (field,) = [
+        entry for record in sets for entry in record.get("field", ()) if entry["name"] == f"{table}-rows/{name}"
+    ]
     assert (field["description"], field.get("arrayShape")) == (description, shape)
     assert field.get("isArray", False) is (shape is not None)

@@ -47,7 +47,7 @@ def bright(x: int, y: int) -> np.ndarray:
 
 
 def test_every_kind_of_network_has_a_name_and_outputs_of_its_own() -> None:
-    assert len({one.name for one in DETECTORS}) == len(DETECTORS) == len({one.outputs for one in DETECTORS})
+    assert len({kind.name for kind in DETECTORS}) == len(DETECTORS) == len({kind.outputs for kind in DETECTORS})
 
 
 def test_rtmo_gives_the_people_it_is_certain_of_in_pixels_of_the_image() -> None:
@@ -238,7 +238,7 @@ def test_a_shot_in_which_a_detector_sees_nobody_is_skipped_with_the_reason(tmp_p
     network.write_bytes(tiny_networks.rtmo(size=320, scores=(0.1,)))
     film = write_film(tmp_path / "sea.mp4", (np.full((240, 320, 3), 90 * (at // 6), np.uint8) for at in range(12)))
     shards = planned(videos=[{"id": "sea", "path": film, "detect": [str(network)]}])
-    assert [one.partition for one in shards] == ["sea.shot00", "sea.shot01"]
+    assert [shard.partition for shard in shards] == ["sea.shot00", "sea.shot01"]
     manifest = run(Store(tmp_path / "store"), shards[:1])["sea.shot00", "film"]
     assert not manifest.tables
     assert "sea.shot00 skipped: " in judged(manifest).reason

@@ -65,7 +65,7 @@ def test_every_command_and_option_that_is_shown_exists(where: str, lines: list[s
         while hasattr(command, "commands") and words[0] not in ("...", "--debug", "--help", "--version"):
             assert words[0] in command.commands, line
             command = command.commands[words.pop(0)]
-        options = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+        options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
         assert [word for word in words if word.startswith("--") and word not in {*options, "--help"}] == [], line
         if command.name in ("run", "plan", "show") and words and words[0].isidentifier() and words[0].islower():
             assert words[0] in shipped_studies(), line

@@ -34,7 +34,7 @@ from tests.builders.pages import Page
 from tests.builders.painted_film import painted, write_keys
 from tests.builders.real_study import SMALL, BuiltStudy
 from tests.builders.rendered_film import write_film
-from tests.builders.storage_rows import put, take_rows
+from tests.builders.storage_rows import having, put, take_rows
 
 pytestmark = pytest.mark.slow
 
@@ -68,9 +68,9 @@ SHARES = {"accuracy": 100.0}
 
 def inputs_of(store: Store, stage: Stage) -> StageInputs:
     """Return what the stages before left in a store, by table."""
-    made = [one for one in store.artifacts() if one.ref.stage != stage.name]
+    made = [manifest for manifest in store.artifacts() if manifest.ref.stage != stage.name]
     made.sort(key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
-    return StageInputs({table: [one for one in made if table in one.tables] for table in stage.reads}, seed=3)
+    return StageInputs({table: having(table, made) for table in stage.reads}, seed=3)
 
 
 def evaluate(store: Store, stage: Stage, **settings: object) -> list[Manifest]:
@@ -142,7 +142,7 @@ def _detect(store: Store) -> None:
     """Put the held-out take as a detector sees it into the small study's store, and what is reconstructed of that."""
     section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "has_detector": True}}
     shards = [shard for shard in planned(**section) if (shard.partition, shard.name) == ("hug", "detector")]
-    database = [made for made in store.artifacts("projections") if "projections" in made.tables]
+    database = having("projections", store.artifacts("projections"))
     inputs = StageInputs({"annotations": list(run(store, shards).values()), "projections": database}, seed=3)
     for shard in reconstruction.plan(inputs, reconstruction.ReconstructionParameters(methods=(Method.NEAREST,))):
         reconstruction.run_shard(shard, store)
@@ -151,7 +151,7 @@ def _detect(store: Store) -> None:
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 def test_what_a_topic_finds_arrives_in_the_report(evaluated: Evaluated, topic: Topic[Any]) -> None:
     store, made, page = evaluated
-    parts = [one for one in made if one.partition == topic.name]
+    parts = [part for part in made if part.partition == topic.name]
     assert parts, f"the small study has nothing for topic {topic.name}: let EVERYTHING ask for it"
     section = page.split(f">{topic.heading}</h2>")[1].split("<h2")[0]
     assert topic.introduction in section
@@ -180,7 +180,8 @@ def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_basel
     store, made, _ = evaluated
     judged = 0
     for part in made:
-        metrics = {one.name: one.metric for topic in TOPICS if topic.name == part.partition for one in topic.criteria}
+        topics = [topic for topic in TOPICS if topic.name == part.partition]
+        metrics = {criterion.name: criterion.metric for topic in topics for criterion in topic.criteria}
         for name, verdict in verdicts_of_parts(part).items():
             if (paired := verdict.paired) is None:
                 continue
@@ -196,7 +197,7 @@ def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_basel
 @pytest.mark.parametrize("topic", [topic for topic in TOPICS if topic.criteria], ids=lambda topic: topic.name)
 def test_no_criterion_fails_the_truth(evaluated: Any, judged: Judged, topic: Topic[Any]) -> None:
     """The truth takes the place of what is judged: a yardstick that it fails measures something else."""
-    own = [one for one in judged if one[0] in topic.criteria]
+    own = [case for case in judged if case[0] in topic.criteria]
     assert own, f"the small study has nothing that topic {topic.name} judges"
     for criterion, items, baselines in own:
         if criterion.metric in ERRORS:
@@ -214,7 +215,7 @@ def test_no_criterion_fails_the_truth(evaluated: Any, judged: Judged, topic: Top
 
 def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(evaluated: Evaluated) -> None:
     store, made, _ = evaluated
-    (part,) = [one for one in made if one.partition == "realism"]
+    (part,) = [part for part in made if part.partition == "realism"]
     scores = store.read(part.ref, "scores")
     drawn = (scores["item"] == "generated") & (scores["metric"] == "FID")
     assert set(scores["method"][drawn]) == {"actor_like", "copy", "naive_fk", "ridge_scale", "solver"}
@@ -240,7 +241,7 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(evaluated
     headings = re.findall(r'<h2 id="[^"]*">(.*?)<', page)
     own = [topic.heading for topic in TOPICS]
     assert headings == ["What was built", "Is it good?", *own, "Skipped, and why", "Sources and licences"]
-    judged = {one.partition for one in made if verdict_of(one) is not None}
+    judged = {part.partition for part in made if verdict_of(part) is not None}
     table = store.read(made[-1].ref, "verdicts")
     ours = [name for stage, name in zip(table["stage"], table["partition"], strict=True) if stage == "evaluation"]
     assert {name.split()[0] for name in ours} == judged
@@ -338,23 +339,23 @@ def test_another_licence_of_the_same_data_is_another_page(tmp_path: Path) -> Non
         stage.plan(StageInputs({"poses": [replace(take, sources=(source,))]}, seed=0), stage.parameters())
         for source in (SourceCredit("waltz", licence, "a studio") for licence in ("CC0-1.0", "CC-BY-NC-ND-4.0"))
     )
-    assert [one.key for one in once[:-1]] == [one.key for one in again[:-1]]
+    assert [shard.key for shard in once[:-1]] == [shard.key for shard in again[:-1]]
     assert once[-1].key != again[-1].key
 
 
 def test_only_what_was_held_out_is_judged(evaluated: Evaluated) -> None:
     _, made, _ = evaluated
-    assert [verdict_of(one).count > 0 for one in made if one.partition == "sets"] == [True]
-    for one in made:
-        for verdict in verdicts_of_parts(one).values():
-            if one.partition in ("views", "lifting", "sets", "leave_one_out") and verdict.paired is not None:
+    assert [verdict_of(part).count > 0 for part in made if part.partition == "sets"] == [True]
+    for part in made:
+        for verdict in verdicts_of_parts(part).values():
+            if part.partition in ("views", "lifting", "sets", "leave_one_out") and verdict.paired is not None:
                 assert set(verdict.paired.takes) == {"hug"}, "the take that is held out"
 
 
 def test_what_lifting_fills_in_has_verdicts_of_its_own(evaluated: Evaluated) -> None:
     store, made, page = evaluated
-    judged = {name for one in made if one.partition == "lifting" for name in verdicts_of_parts(one)}
-    assert judged == {one.name for one in lifting.TOPIC.criteria}
+    judged = {name for part in made if part.partition == "lifting" for name in verdicts_of_parts(part)}
+    assert judged == {criterion.name for criterion in lifting.TOPIC.criteria}
     table = store.read(made[-1].ref, "verdicts")
     for name in judged:
         assert f"lifting {name}".strip() in table["partition"].tolist()

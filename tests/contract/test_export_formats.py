@@ -60,7 +60,7 @@ from tests.builders.ingest_runs import planned, run
 from tests.builders.made_poses import NUM_LIFTED, put_made_poses
 from tests.builders.mp4_boxes import with_durations
 from tests.builders.rendered_film import write_film
-from tests.builders.storage_rows import put, random_columns
+from tests.builders.storage_rows import having, put, random_columns
 from tests.builders.stored_models import put_model
 
 NUM_SEEDS = 2
@@ -81,7 +81,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     }
     put(store, "seeds", "seed0", {"seeds": columns}, {}, source=CREDIT)
     put_made_poses(store)
-    put_model(store, CopyModel(), "random", [one for one in store.artifacts("ingest") if "poses" in one.tables])
+    put_model(store, CopyModel(), "random", having("poses", store.artifacts("ingest")))
     return store
 
 
@@ -292,7 +292,8 @@ def check_coco(paths: list[Path], text: str, store: Store) -> None:
     category, layout = content["categories"][0], KEYPOINT_LAYOUTS[rows["layout"][0]]
     assert category["keypoints"] == list(layout.keypoint_names)
     assert category["skeleton"] == [[first + 1, second + 1] for first, second in layout.links()]
-    assert [one["num_keypoints"] for one in content["annotations"]] == (rows["pair17_confidence"] > 0).sum(1).tolist()
+    num_seen = (rows["pair17_confidence"] > 0).sum(axis=1).tolist()
+    assert [person["num_keypoints"] for person in content["annotations"]] == num_seen
     kind = ANNOTATION_FORMATS["coco"]
     assert recognise_format(path.read_bytes()) is kind
     read = kind.read({path.name: path.read_bytes()}, sequence_id="s")
@@ -300,23 +301,23 @@ def check_coco(paths: list[Path], text: str, store: Store) -> None:
     np.testing.assert_allclose(read.keypoints_px.ravel(), np.concatenate(rows["keypoints_px"]), atol=1e-3)
     images = {image["id"]: image for image in content["images"]}
     assert len(images) == len({(name, frame) for name, frame in zip(rows["sequence_id"], rows["frame"], strict=True)})
-    assert [one["id"] for one in content["annotations"]] == list(range(1, rows.num_rows + 1))
-    for row, one in enumerate(content["annotations"]):
-        image, points = images[one["image_id"]], np.reshape(rows["keypoints_px"][row], (-1, 2))
+    assert [person["id"] for person in content["annotations"]] == list(range(1, rows.num_rows + 1))
+    for row, person in enumerate(content["annotations"]):
+        image, points = images[person["image_id"]], np.reshape(rows["keypoints_px"][row], (-1, 2))
         place = (str(rows["sequence_id"][row]), int(rows["frame"][row]))
         assert (image["video_id"], image["frame_id"], image["file_name"]) == (*place, "{}/{:06d}.png".format(*place))
         assert (image["width"], image["height"]) == (rows["image_width_px"][row], rows["image_height_px"][row])
-        assert (one["track_id"], one["category_id"]) == (rows["person_id"][row], 1)
+        assert (person["track_id"], person["category_id"]) == (rows["person_id"][row], 1)
         scores = np.asarray(rows["keypoint_confidence"][row])
-        table = np.reshape(one["keypoints"], (-1, 3))
+        table = np.reshape(person["keypoints"], (-1, 3))
         np.testing.assert_array_equal(table[:, 2], np.where(scores > 0, 2, 0))
         np.testing.assert_allclose(table[scores > 0, :2], points[scores > 0], atol=1e-3)
-        np.testing.assert_allclose(one["keypoint_scores"], scores, atol=1e-4)
-        left, top, width, height = one["bbox"]
+        np.testing.assert_allclose(person["keypoint_scores"], scores, atol=1e-4)
+        left, top, width, height = person["bbox"]
         x, y = points[scores > 0].T
         np.testing.assert_allclose([left, top, left + width, top + height], [min(x), min(y), max(x), max(y)], atol=2e-3)
-        assert one["area"] == pytest.approx(width * height, rel=1e-3)
-        assert one["iscrowd"] == 0
+        assert person["area"] == pytest.approx(width * height, rel=1e-3)
+        assert person["iscrowd"] == 0
 
 
 def check_mp4(paths: list[Path], text: str, store: Store) -> None:
@@ -342,7 +343,7 @@ def check_mp4(paths: list[Path], text: str, store: Store) -> None:
 
 def drawn_px(store: Store, seen: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return where people belong on their annotation, and that: by the least squares of scale and shift, y down."""
-    manifests = [manifest for manifest in store.artifacts() if "annotations" in manifest.tables]
+    manifests = having("annotations", store.artifacts())
     tables = (store.read(manifest.ref, "annotations") for manifest in manifests)
     rows = next(table for table in tables if seen.sequence_id in table["sequence_id"])
     given = np.full((*seen.positions_m.shape[:3], 2), np.nan)
@@ -405,9 +406,9 @@ def test_a_model_has_the_figures_of_the_last_run_alone(tmp_path: Path) -> None:
     (model,) = store.artifacts("training")
     scores = [Score("E_r", model.facts["model"], value, "m", split="test") for value in (0.1, 0.2, 0.1)]
     tables = [{"scores": columns_of("models", [score])} for score in scores]
-    made = [put(store, "evaluation", str(at), one, {"takes": []}, (model,)) for at, one in enumerate(tables)]
+    made = [put(store, "evaluation", str(at), columns, {"takes": []}, (model,)) for at, columns in enumerate(tables)]
     for shown in (made[:1], made[1:2], made[::2]):
-        record_latest(store, "study", "run", {"evaluation": [ShardRecord.of(one, store) for one in shown]})
+        record_latest(store, "study", "run", {"evaluation": [ShardRecord.of(manifest, store) for manifest in shown]})
         _, card, _ = export_reference(store, f"models@{model.ref.key}", "safetensors", tmp_path / "out")
         figures = [line for line in card.read_text().splitlines() if line.startswith("| E_r")]
         assert figures == [f"| E_r, test | {0.2 if shown == made[1:2] else 0.1:g} m | |"]
@@ -430,7 +431,7 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
             continue
         *written, notice = export_reference(store, text, name, out, **options_of(name, tmp_path))
         READ_BACK[name](written, text, store)
-        (manifest,) = [one for one in store.artifacts() if one.ref.key in text]
+        (manifest,) = [manifest for manifest in store.artifacts() if manifest.ref.key in text]
         assert notice.name == "CREDITS.txt"
         for source in source_credits(store, manifest.ref):
             assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
@@ -441,25 +442,27 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
 def named(store: Store, name: str, into: Store) -> None:
     """Copy artifacts whose takes, sequences, variants and splits somebody else has called so."""
     copies: dict[ArtifactRef, ArtifactRef] = {}
-    for one in sorted(store.artifacts(), key=lambda one: (one.ref.stage != "ingest", len(one.inputs))):
+    renamed = dict.fromkeys(("take_id", "sequence_id", "split"), name)
+    inputs_first = sorted(store.artifacts(), key=lambda made: (made.ref.stage != "ingest", len(made.inputs)))
+    for manifest in inputs_first:
         tables = {}
-        for table in one.tables:
-            rows = store.read(one.ref, table)
+        for table in manifest.tables:
+            rows = store.read(manifest.ref, table)
             ids = {column: [name] * rows.num_rows for column in TABLES[table].id_columns}
             tables[table] = {column: rows[column] for column in rows} | ids
-        copies[one.ref] = into.commit(
-            stage=one.ref.stage,
-            key=one.ref.key,
-            partition=one.partition,
-            name=one.name,
+        copies[manifest.ref] = into.commit(
+            stage=manifest.ref.stage,
+            key=manifest.ref.key,
+            partition=manifest.partition,
+            name=manifest.name,
             version=1,
-            parameters=one.parameters,
+            parameters=manifest.parameters,
             seed=0,
-            inputs=[copies.get(ref, ref) for ref in one.inputs],
+            inputs=[copies.get(ref, ref) for ref in manifest.inputs],
             files=[],
             tables=tables,
-            facts={key: name if key in ("take_id", "sequence_id", "split") else one.facts[key] for key in one.facts},
-            sources=one.sources,
+            facts={key: renamed.get(key, fact) for key, fact in manifest.facts.items()},
+            sources=manifest.sources,
         )
 
 
@@ -504,7 +507,7 @@ def test_an_export_beside_another_keeps_its_credits(store: Store, tmp_path: Path
     said = notice.read_text()
     assert said.startswith("Motions of a studio.\n\nSomething of somebody else.\n\nExported from ")
     for table in ("poses", "seeds"):
-        (manifest,) = [one for one in store.artifacts() if table in one.tables]
+        (manifest,) = having(table, store.artifacts())
         assert f"Exported from {texts[table]} by pasdedeux." in said
         assert manifest.ref.content_digest in said
         assert all(source.credit in said and source.name in said for source in manifest.sources)
@@ -539,7 +542,7 @@ def test_credits_of_folders_that_somebody_has_joined_are_kept(store: Store, tmp_
     notice.write_text("".join(said))
     export_reference(store, texts["poses"], "npz", tmp_path)
     lines = notice.read_text().splitlines()
-    assert {line for one in said for line in one.splitlines()} <= {*lines}
+    assert {line for text in said for line in text.splitlines()} <= {*lines}
     assert lines.count("Sources, their licences and credits:") == 1
 
 
@@ -608,7 +611,7 @@ def test_a_result_is_drawn_on_the_footage_that_is_named(store: Store, tmp_path: 
     np.testing.assert_allclose(levels, [60, 120, 180], atol=10)  # frames 1 to 3
     with pytest.raises(InputError, match=r"footage film\.mp4 has no frame 4"):
         export_reference(store, references(store)["lifted_pairs"], "mp4", tmp_path / "cut", footage=film)
-    assert not [one for one in (tmp_path / "cut").iterdir() if one.suffix == ".mp4"], "half a film is none"
+    assert not [path for path in (tmp_path / "cut").iterdir() if path.suffix == ".mp4"], "half a film is none"
     (tmp_path / "notes.txt").write_text("no film")
     with pytest.raises(InputError, match=r"footage: film notes\.txt cannot be opened"):
         export_reference(store, text, "mp4", tmp_path / "out", footage=tmp_path / "notes.txt")
@@ -655,7 +658,8 @@ def test_contacts_go_out_as_a_table_with_points_on_both_bodies(store: Store, tmp
     assert (path.name, notice.name) == ("contacts.npz", "CREDITS.txt")
     with np.load(path) as archive:
         rows = dict(archive)
-    assert [name for name in rows if not name.endswith("_unit")] == [one.name for one in TABLES["contacts"].columns]
+    columns = [column.name for column in TABLES["contacts"].columns]
+    assert [name for name in rows if not name.endswith("_unit")] == columns
     body = dict(zip("AB", np.moveaxis(poses_of(references(store)["poses"], store), 1, 0), strict=True))
     assert len(rows["frame"]) > 20
     for row in range(len(rows["frame"])):
@@ -664,7 +668,7 @@ def test_contacts_go_out_as_a_table_with_points_on_both_bodies(store: Store, tmp
             (rows["partner"], rows["partner_bone"], rows["partner_share"], rows["partner_point_m"]),
         ):
             child = BODY22.index(str(bone[row]))
-            start, end = (body[str(who[row])][rows["frame"][row], one] for one in (BODY22.parents[child], child))
+            start, end = (body[str(who[row])][rows["frame"][row], joint] for joint in (BODY22.parents[child], child))
             np.testing.assert_allclose(point[row], start + share[row] * (end - start), atol=1e-5)
     between = np.linalg.norm(rows["point_m"] - rows["partner_point_m"], axis=-1)
     np.testing.assert_allclose(rows["distance_m"], between, atol=1e-5)

@@ -166,8 +166,8 @@ def test_a_folder_of_images_is_a_film_whose_frames_their_names_number(tmp_path: 
     for frame in range(5, 15):
         cv2.imwrite(str(tmp_path / f"img_{frame:04d}.png"), painted(0, frame))
     keys = write_keys(tmp_path.parent / "images.csv", [5, 14])
-    (one,) = shots_of(tmp_path, keys=keys)
-    frames = one.read()
+    (shot,) = shots_of(tmp_path, keys=keys)
+    frames = shot.read()
     assert sorted(set(frames.frame.tolist())) == list(range(5, 15))
     (tmp_path / "img_0009.png").unlink()
     with pytest.raises(InputError, match="image before 10 is missing"):
@@ -182,8 +182,8 @@ def test_a_rate_that_is_stated_is_that_of_every_shot_and_else_the_films(
     film: Path, keys: Path, rate_hz: float | None
 ) -> None:
     shots = [shot.parameters for shot in shots_of(film, keys=keys, rate_hz=rate_hz)]
-    assert [(one.first_frame, one.num_frames) for one in shots] == [(0, 20), (20, 20)]
-    assert [one.video_rate_hz for one in shots] == [pytest.approx(rate_hz or 30.0)] * 2
+    assert [(shot.first_frame, shot.num_frames) for shot in shots] == [(0, 20), (20, 20)]
+    assert [shot.video_rate_hz for shot in shots] == [pytest.approx(rate_hz or 30.0)] * 2
 
 
 def test_a_shot_is_a_row_of_its_frames_people_and_how_their_keypoints_came_about() -> None:
@@ -238,7 +238,7 @@ def test_shots_of_which_only_filled_in_joints_are_known_are_left_out(film: Path,
     lines = [f"{row},{'annotated' if int(row.split(',')[0]) < 20 else 'tracked'}" for row in rows]
     filled = tmp_path / "filled.csv"
     filled.write_text("\n".join([head, f"{names},status", *lines]))
-    assert [one.parameters.id for one in shots_of(film, keys=filled)] == ["walk.shot00"]
+    assert [shot.parameters.id for shot in shots_of(film, keys=filled)] == ["walk.shot00"]
 
 
 def test_keypoints_that_are_shares_of_the_image_take_its_size_from_the_film(film: Path, tmp_path: Path) -> None:
@@ -260,7 +260,7 @@ def test_films_of_a_folder_have_names_and_key_frames_of_their_own(film: Path, ke
     }
     for end in ("json", "xml"):
         arguments = ["annotate", films, "--keys", annotations, "--out", tmp_path / f"all.{end}"]
-        assert run_command_line([str(one) for one in arguments]) == 2
+        assert run_command_line([str(word) for word in arguments]) == 2
     (annotations / "one_keys.csv").unlink()
     with pytest.raises(InputError, match=r"nothing in .* is named like the film one\.mp4"):
         shots_of(films, keys=annotations)
@@ -347,8 +347,8 @@ def test_tracks_follow_a_joint_that_is_corrected_as_if_it_had_been_a_key_frame_o
     path, keys = tmp_path / "walk.mp4", write_keys(tmp_path / "keys.csv", [0, 8, 19, 20, 39])
     durations = [(3 if is_uneven and at % 4 == 0 else 1) / 30.0 for at in range(COUNT)]
     path.write_bytes(with_durations(film.read_bytes(), durations))
-    one = shots_of(path, keys=keys)[1]
-    shot = CorrectedShot(one.parameters, one.files)
+    source = shots_of(path, keys=keys)[1]
+    shot = CorrectedShot(source.parameters, source.files)
     before, wrist = shot.shot.frames, NAMES.index("left_wrist")
     wanted = shot.film_frame(int(shot.placed().frame[-1]) // 2 + 12)
     assert 22 < wanted < 38

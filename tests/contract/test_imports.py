@@ -106,7 +106,7 @@ with suppress(SystemExit):
     main(["show", "--help"])
 import numpy, scipy.linalg
 from threadpoolctl import threadpool_info
-print(sorted({one["num_threads"] for one in threadpool_info()}))
+print(sorted({pool["num_threads"] for pool in threadpool_info()}))
 """
     names = {name: value for name, value in os.environ.items() if name not in THREAD_VARIABLES}
     two = dict.fromkeys(THREAD_VARIABLES, "2")

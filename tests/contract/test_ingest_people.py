@@ -64,8 +64,8 @@ def test_shuffled_results_without_track_ids_are_as_good_as_people_given(store: S
     tracks = json.loads((tmp_path / "tracks.json").read_text())["annotations"]
     rng = np.random.default_rng(0)
     results = [
-        {"image_id": one["image_id"], "category_id": 1, "score": 0.9, "keypoints": one["keypoints"]}
-        for one in (tracks[row] for row in rng.permutation(len(tracks)))
+        {"image_id": track["image_id"], "category_id": 1, "score": 0.9, "keypoints": track["keypoints"]}
+        for track in (tracks[row] for row in rng.permutation(len(tracks)))
     ]
     (tmp_path / "results.json").write_text(json.dumps(results))
     people = []

@@ -53,7 +53,7 @@ def test_another_licence_is_in_no_bytes_so_that_nothing_after_is_computed(
         take = {"id": "dance", "files": list(pair), "licence": licence, "credit": f"A studio ({licence})"}
         made.append(run(store, planned(takes=[take], rate_hz=30.0)))
         assert made[-1]["dance", "take"].sources[0].licence == licence
-    refs = [{place: one.ref for place, one in found.items()} for found in made]
+    refs = [{place: manifest.ref for place, manifest in found.items()} for found in made]
     assert refs[0] == refs[1], "stage and content are the same"
     assert all(refs[0][place].key != refs[1][place].key for place in refs[0])
 
@@ -103,7 +103,10 @@ def test_the_shortest_start_of_takes_is_two_frames_of_files_and_half_a_second_of
     take = {"id": "dance", "files": list(pair)}
     shards = planned(takes=[take], duets=[{"name": "hug"}], rate_hz=20.0, take_seconds=0.001)
     made = run(store, [shard for shard in shards if shard.name == "take"])
-    assert {partition: one.facts["num_frames"] for (partition, _), one in made.items()} == {"dance": 1, "hug": 10}
+    assert {partition: manifest.facts["num_frames"] for (partition, _), manifest in made.items()} == {
+        "dance": 1,
+        "hug": 10,
+    }
 
 
 def test_virtual_video_shows_the_pose_through_its_stored_camera_unmirrored(
@@ -245,7 +248,7 @@ def test_a_family_without_names_is_what_is_there_and_says_what_it_skips_and_awai
         (tmp_path / f"{name}.bvh").write_bytes(pair[0].read_bytes().replace(b"ROOT", b"ROOT" + b" " * len(name)))
     (tmp_path / "60_03.bvh").write_text("no motion")
     family = {"folder": tmp_path, "subjects": ["60", "61"], "rate_hz": 60.0, "is_watched": True}
-    takes = {(one.partition, one.name): one for one in planned(pairs={"salsa": family}, held_out=["60_09"])}
+    takes = {(shard.partition, shard.name): shard for shard in planned(pairs={"salsa": family}, held_out=["60_09"])}
     assert ("60_01", "take") in takes
     skipped = takes["salsa", "skipped"].parameters.skipped
     assert set(skipped) == {"60_02", "60_03", "60_a b", "60_09"}
@@ -253,7 +256,7 @@ def test_a_family_without_names_is_what_is_there_and_says_what_it_skips_and_awai
     assert "60_03.bvh" in skipped["60_03"]
     assert skipped["60_a b"] == "'60_a b' cannot be the name of a take"
     assert skipped["60_09"] == "the study names it, and it has not come yet"
-    whole = [one for one in planned(pairs={"salsa": family | {"takes": ["01"]}}) if one.name == "skipped"]
+    whole = [shard for shard in planned(pairs={"salsa": family | {"takes": ["01"]}}) if shard.name == "skipped"]
     assert whole == [], "nothing is skipped of what is named"
     assert planned(pairs={"salsa": family | {"takes": []}}) == []
 

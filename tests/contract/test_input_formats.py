@@ -75,8 +75,8 @@ FOREIGN = {
 @pytest.mark.parametrize(("data", "says"), FOREIGN.items(), ids=FOREIGN.values())
 def test_a_file_of_another_kind_is_named_wherever_it_is_opened(data: bytes, says: str) -> None:
     openings: list[Callable[[bytes], object]] = [recognise_format]
-    openings += [lambda data, one=one: find_format(ANNOTATION_FORMATS, one, data) for one in ANNOTATION_FORMATS]
-    openings += [lambda data, one=one: find_format(MOTION_FORMATS, one, data) for one in MOTION_FORMATS]
+    openings += [lambda data, name=name: find_format(ANNOTATION_FORMATS, name, data) for name in ANNOTATION_FORMATS]
+    openings += [lambda data, name=name: find_format(MOTION_FORMATS, name, data) for name in MOTION_FORMATS]
     openings += [lambda data: read_body("x", data), lambda data: read("bvh", data), lambda data: read("asf_amc", data)]
     for opening in openings:
         with pytest.raises(FormatError, match=f"this is {says}") as error:
@@ -97,7 +97,7 @@ def test_texts_are_read_in_any_unicode(name: str, encoding: str) -> None:
     data, companion = GOOD_MOTIONS[name]
     again = data.decode().encode(encoding)
     assert recognise_format(again) is MOTION_FORMATS[name]
-    found, wanted = (MOTION_FORMATS[name].read(one, companion) for one in (again, data))
+    found, wanted = (MOTION_FORMATS[name].read(text, companion) for text in (again, data))
     np.testing.assert_array_equal(found.local_unitquat, wanted.local_unitquat)
 
 

@@ -30,7 +30,7 @@ from tasks.stage.facts import SeedFacts
 from tests.builders.drawn_pairs import put_draws
 from tests.builders.ingest_runs import judged
 from tests.builders.sampling_store import pairs_of, run, run_chains, with_seeds
-from tests.builders.storage_rows import put, random_columns, take_rows
+from tests.builders.storage_rows import having, put, random_columns, take_rows
 
 VIDEO = {"purpose": "video", "rate_hz": 30.0}
 
@@ -133,7 +133,7 @@ def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any)
         for rows, facts in [take_rows(name, people, 10)]
     ]
     lifted = list(lift(store, given, max_frames=1).values())
-    seen = [replace(one, facts={**one.facts, "is_virtual": True}) for one in given.of("annotations")]
+    seen = [replace(manifest, facts={**manifest.facts, "is_virtual": True}) for manifest in given.of("annotations")]
     tables = {**given.manifests, "annotations": seen, "poses": takes, "lifted_pairs": lifted}
     shards = {shard.name: shard for shard in TOPIC.plan(StageInputs(tables, seed=1), STAGE.parameters())}
     assert set(shards["lifted"].refs("takes")) == {take.ref for take in takes}
@@ -158,7 +158,7 @@ def test_hidden_joints_are_completed_and_counted(grown: Any, monkeypatch: pytest
 def test_the_nearest_draw_of_each_set_that_is_compared_stands_beside_that_of_all(grown: Any) -> None:
     store, given = grown
     made = run_chains(store, given, num_chains=1, densities=("ic", "cartesian"), starts="seeds")
-    draws = [manifest for manifest in made if "draws" in manifest.tables]
+    draws = having("draws", made)
     known = StageInputs({**given.manifests, "draws": draws}, seed=1)
     table = lifted_from(store, known, max_frames=2, compared=("ic", "grown_seeds"))
     method, far = table["method"], table["residual_m"]
@@ -363,8 +363,8 @@ def test_baselines_pass_over_annotations_that_are_not_seen_as_a_whole(grown: Any
     store, given = grown
     shard = lifting.plan(given, LiftingParameters(baselines=("lifting",)))[0]
     every, _ = read_seen_pairs(store, shard.refs("annotations")[0], shard.refs("views")[0], num_hypotheses=1)
-    whole = [one for one in every.values() if one.is_seen.all()][:1]
-    partial = [one for one in every.values() if not one.is_seen.all()][:1]
+    whole = [seen for seen in every.values() if seen.is_seen.all()][:1]
+    partial = [seen for seen in every.values() if not seen.is_seen.all()][:1]
     assert len(partial) == 1
     rows = _baselines(shard, store, [*partial, *whole], every)
     assert [(row["method"], row["sequence_id"]) for row in rows] == [("lifting", whole[0].place.sequence_id)]

@@ -242,7 +242,7 @@ def test_parts_of_other_views_or_of_none_make_no_database(store: Store) -> None:
     built = build(store, [put_take(store, "a")])
     other = build(store, [put_take(store, "b")], settings={"pitches_deg": (1.0,)})
     with pytest.raises(InputError, match="differ in their cameras"):
-        projections.read_database(store, [one.ref for one in (*built, *other)])
+        projections.read_database(store, [part.ref for part in (*built, *other)])
     with pytest.raises(InputError, match="run its study again"):
         projections.read_cameras([put_take(store, "c")])
 

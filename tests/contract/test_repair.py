@@ -47,8 +47,8 @@ def test_every_grown_and_filled_pair_is_repaired_once(repaired: Any) -> None:
     moved_m = np.linalg.norm(found - starts[is_possible], axis=-1).mean(axis=(1, 2))
     assert 0.001 < moved_m.mean() < 0.1
     assert judged(made[0]).count == 12
-    firsts = [int(store.read(one.ref, "draws")["seed_index"][0]) for one in made]
-    assert [one.facts["seed_index"] for one in made] == firsts
+    firsts = [int(store.read(manifest.ref, "draws")["seed_index"][0]) for manifest in made]
+    assert [manifest.facts["seed_index"] for manifest in made] == firsts
     table = store.read(made[0].ref, "draws")
     pair = pair_of_draw(store, f"draws@{made[0].ref.key}#3").pair.pair_m
     np.testing.assert_allclose(pair, table["pair17_m"][3], atol=1e-5)
@@ -76,11 +76,11 @@ def test_of_a_study_with_repaired_pairs_only_those_are_selected_as_independent_o
     drawn = run_chains(store, given, num_chains=1, densities=("ic",), starts="seeds")
     selected = select_pairs(store, tuple(manifest.ref for manifest in (*drawn, *made, *given.of("seeds"))), 30)
     assert set(selected.columns["origin"]) == {"repaired"}
-    (kept,) = read_draw_sets(store, [one.ref for one in made]).values()
+    (kept,) = read_draw_sets(store, [manifest.ref for manifest in made]).values()
     pairs = kept.pairs_m.astype(np.float64)
     assert (selected.num_draws, selected.num_grown, selected.num_repaired) == (0, 0, len(pairs))
     assert f" of {len(pairs)} repaired pairs, " in selected.in_words()
-    log_prior = np.concatenate([store.read(one.ref, "draws")["log_prior"] for one in made])
+    log_prior = np.concatenate([store.read(manifest.ref, "draws")["log_prior"] for manifest in made])
     pairs = pairs[log_prior >= MIN_LOG_PRIOR]
     assert len(pairs) == selected.num_plausible
     # No two of those that count alone are the same within 2 cm, whatever artifacts they are in.
@@ -108,7 +108,7 @@ def test_repaired_pairs_are_counted_apart_from_the_draws_of_chains(repaired: Any
     assert draws == alone
     assert alone.independent is not None
     assert (others.thing, others.independent) == ("repaired pairs", None)
-    assert others.count == sum(one.tables["draws"].rows for one in made)
+    assert others.count == sum(manifest.tables["draws"].rows for manifest in made)
 
 
 def test_nothing_is_repaired_where_nothing_grows(inputs: Any) -> None:

@@ -22,6 +22,7 @@ from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tests.builders.poses import block_indices
 from tests.builders.sampling_store import NUM_FRAMES, plan_chains, put_annotations, put_take, run_chains, with_seeds
+from tests.builders.storage_rows import having
 
 SKIPPED = "of 40 annotations show too little or have no view, and were skipped"
 OPTIONS: dict[str, Any] = {"num_chains": 1, "proposal": "velocity", "densities": ("ic",)}
@@ -46,7 +47,7 @@ def hiding(index: Any) -> Callable[[np.ndarray], None]:
 
 
 def note_of(store: Store, made: list[Manifest]) -> str:
-    (summary,) = (one for one in made if "chain_info" in one.tables)
+    (summary,) = having("chain_info", made)
     table = store.read(summary.ref, "chain_info")
     assert np.isfinite(table["log_density_mean"][0])
     return str(table["note"][0])
@@ -91,8 +92,8 @@ def test_identical_frames_have_no_speed_and_change_nothing_else(store: Store) ->
 def test_annotations_all_from_one_view_are_used_and_said(store: Store) -> None:
     made = sampled(store, has_one_view=True)
     assert note_of(store, made).startswith("nearly all annotations see the pair from one side, within 0 degrees")
-    views = np.concatenate([np.asarray(store.read(one.ref, "draws")["view"]) for one in made if "draws" in one.tables])
-    assert np.isfinite(views).all()
+    views = [store.read(manifest.ref, "draws")["view"] for manifest in having("draws", made)]
+    assert np.isfinite(np.concatenate(views)).all()
 
 
 def test_asking_for_the_full_density_alone_without_annotations_is_refused(store: Store) -> None:

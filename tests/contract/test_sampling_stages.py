@@ -27,7 +27,7 @@ from tasks.rows.annotated_pairs import gather, gather_tracks
 from tasks.stage import StageInputs
 from tests.builders.ingest_runs import judged
 from tests.builders.sampling_store import draws_of, plan_chains, run, run_chains, with_seeds
-from tests.builders.storage_rows import put
+from tests.builders.storage_rows import having, put
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
     made = run_chains(store, given)
     assert len(made) == 2 * 2 * (2 * 2 + 1)
     assert len(draws_of(made, store)) == 2 * 2 * 2 * 8
-    summaries = [manifest for manifest in made if "chain_info" in manifest.tables]
+    summaries = having("chain_info", made)
     assert len(summaries) == 4
     for manifest in summaries:
         info = store.read(manifest.ref, "chain_info")
@@ -76,7 +76,7 @@ def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
 
 def test_every_draw_keeps_the_annotation_it_is_nearest_to(seeded: Any) -> None:
     store, given = seeded
-    for shard in (one for one in plan_chains(given) if one.name == "chain1-segment0"):
+    for shard in (shard for shard in plan_chains(given) if shard.name == "chain1-segment0"):
         options = shard.options(ChainSegmentParameters)
         table = store.read(chains.run_shard(shard, store), "draws")
         likelihood = chain_problem(shard, options, store).evidence.likelihood
@@ -89,7 +89,7 @@ def test_every_draw_keeps_the_annotation_it_is_nearest_to(seeded: Any) -> None:
         for row in range(table.num_rows):
             pair = chart.positions(np.asarray(table["parameters"][row]))
             place = (str(table["sequence_id"][row]), int(table["sequence_frame"][row]))
-            index = next(at for at, one in enumerate(placed.places) if (one.sequence_id, one.frame) == place)
+            index = next(at for at, seen in enumerate(placed.places) if (seen.sequence_id, seen.frame) == place)
             is_it = placed.gathered.pairs.annotation_index == index
             shown = placed.gathered.pairs.points_m[is_it][0].reshape(-1, 2)
             seen = np.isfinite(shown).all(axis=1)
@@ -131,7 +131,8 @@ def test_images_that_are_left_out_never_enter_a_chain(inputs: Any) -> None:
     columns["is_held_out"] = np.isin(np.array(list(rows["sequence_id"])), out)
     cut = put(store, "ingest", "cut", {"annotations": columns}, dict(annotations.facts))
     whole, left = (
-        gather(store, annotations=[one.ref], views=[views.ref], num_hypotheses=1) for one in (annotations, cut)
+        gather(store, annotations=[manifest.ref], views=[views.ref], num_hypotheses=1)
+        for manifest in (annotations, cut)
     )
     assert {place.sequence_id for place in set(whole.places) - set(left.places)} == set(out)
     assert not {place.sequence_id for place in left.frames}.intersection(out)
@@ -144,7 +145,7 @@ def test_stills_numbered_like_a_video_have_no_speed(inputs: Any) -> None:
     name = placed.places[7].sequence_id
     stills = gather_tracks(replace(placed, stills=frozenset([name])))
     moving = gather_tracks(placed)
-    of_stills = np.array([placed.places[one].sequence_id == name for one in placed.gathered.pairs.annotation_index])
+    of_stills = np.array([placed.places[index].sequence_id == name for index in placed.gathered.pairs.annotation_index])
     assert np.isnan(stills[of_stills][:, [0, 1, 3, 4]]).all()
     np.testing.assert_array_equal(stills[of_stills][:, 2], moving[of_stills][:, 2])
     np.testing.assert_array_equal(stills[~of_stills], moving[~of_stills])
@@ -193,7 +194,7 @@ def test_segments_continue_exactly_and_order_of_chains_does_not_matter(
 
 def test_log_density_recomputed_from_stored_draws_is_the_stored_one(seeded: Any) -> None:
     store, given = seeded
-    for shard in (one for one in plan_chains(given) if one.name == "chain0-segment0"):
+    for shard in (shard for shard in plan_chains(given) if shard.name == "chain0-segment0"):
         table = store.read(chains.run_shard(shard, store), "draws")
         options = shard.options(ChainSegmentParameters)
         chart = PairChart(np.asarray(store.read(shard.ref("seed"), "seeds")["pair17_m"][0]))
@@ -211,9 +212,9 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(seeded: Any)
 def test_warm_up_learns_scales_that_every_later_segment_keeps(seeded: Any) -> None:
     store, given = seeded
     made = run_chains(store, given, proposal="velocity", num_warm_up=20, num_chains=1)
-    states = [store.read(one.ref, "chain_states") for one in made if "chain_states" in one.tables]
+    states = [store.read(manifest.ref, "chain_states") for manifest in having("chain_states", made)]
     for first, second in zip(states[::2], states[1::2], strict=True):
-        learned = [proposal_from_json(str(one["proposal_state"][0]))[0] for one in (first, second)]
+        learned = [proposal_from_json(str(state["proposal_state"][0]))[0] for state in (first, second)]
         assert np.count_nonzero(learned[0]) > 10
         np.testing.assert_array_equal(learned[0], learned[1])
         assert list(first["num_draws"]) == [4]
@@ -236,7 +237,7 @@ def test_variants_are_sampled_beside_densities_under_their_own_names(inputs: Any
     assert {place[:2] for place in found} == {("ic", 0), ("hotter", 0), *(("grown_prior", index) for index in starts)}
     assert sum(place[0] == "grown_prior" for place in found) == 4 * len(starts)
     assert any((found["ic", 0, 0, draw] != found["hotter", 0, 0, draw]).any() for draw in range(8))
-    assert {one.facts["density"] for one in made} == {"ic", "hotter", "grown_prior"}
+    assert {manifest.facts["density"] for manifest in made} == {"ic", "hotter", "grown_prior"}
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from tasks.shards import HerePool
 from tasks.stage import StageInputs
 from tests.builders.made_poses import pair_bvh
 from tests.builders.real_study import build_here, call_in_process, refused
+from tests.builders.storage_rows import having
 
 PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
 
@@ -104,7 +105,7 @@ def test_a_seed_of_a_file_is_the_pair_in_it_with_its_lineage(store: Store, tmp_p
     np.testing.assert_allclose(table["pair17_m"][0], PAIR, atol=1e-12)
     assert (table["origin"][0], table["made_from"][0]) == ("draw", "draws@abc#3")
     assert made.facts["takes"] == ["one", "two"]
-    assert [(one.name, one.licence, one.credit) for one in made.sources] == [("someone", "CC0", "made it")]
+    assert [(source.name, source.licence, source.credit) for source in made.sources] == [("someone", "CC0", "made it")]
 
 
 def test_a_seed_of_two_bvh_files_is_the_pair_in_them(store: Store, tmp_path: Path) -> None:
@@ -198,7 +199,7 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     # One seed, one segment and a summary; everything else was there.
     new = list(store.artifacts())
     assert len(new) == before + 3
-    (made,) = (one for one in new if one.facts.get("made_from", "").startswith("draws@"))
+    (made,) = (manifest for manifest in new if manifest.facts.get("made_from", "").startswith("draws@"))
     assert made.facts["takes"] == ["waltz"]
     assert {source.name for source in made.sources} == {source.name for source in chosen.pair.sources}
 
@@ -231,7 +232,7 @@ def test_draws_are_shown_by_the_row_that_restart_takes(edited: Store, capsys: py
     assert [tuple(map(int, place)) for place in places] == [
         (row, draws["seed_index"][row], draws["chain"][row]) for row in range(20)
     ]
-    drawn = [manifest for manifest in edited.artifacts("chains") if "draws" in manifest.tables]
+    drawn = having("draws", edited.artifacts("chains"))
     (shard,) = CHAINS.plan(StageInputs({"draws": drawn[::-1]}, seed=1), CHAINS.settings())
     (picture,) = CHAINS.pictures(CHAINS.compute(shard, edited))
     assert picture.name == "draws-ic.player.json"
@@ -296,7 +297,7 @@ def test_a_pair_that_lacks_joints_is_completed_by_draws(
     assert "person B: 17 joints completed, 0.0 cm uncertain" in answer.out
     whole = read_pair_json((tmp_path / "part_completed.json").read_text())
     np.testing.assert_allclose(whole.pair_m, PAIR @ turn.T + 1.0, atol=0.01)
-    assert (whole.takes, [one.name for one in whole.sources]) == (("one", "two"), ["someone"])
+    assert (whole.takes, [source.name for source in whole.sources]) == (("one", "two"), ["someone"])
     for text, reference, message in (
         (write_pair_json(PairFile(PAIR)), options[1], "part.json: no joint is missing"),
         (json.dumps(tree | {"persons": {"A": {}, "B": {}}}), options[1], "0 joints of the two people are known"),

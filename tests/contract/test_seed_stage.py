@@ -204,7 +204,7 @@ def test_lifted_seeds_never_see_a_torso_basis_of_their_own_takes(inputs: Any) ->
     alone = {"joint_limits": {name: limits[name] for name in limits.column_names}}
     bare = put(store, "priors", "bare", alone, {"takes": ["one"]})
     (plain,) = seeds.plan(StageInputs({**tables, "joint_limits": [bare]}, seed=1), asked)
-    pairs = [store.read(seeds.run_shard(one, store), "seeds")["pair17_m"] for one in (shard, plain)]
+    pairs = [store.read(seeds.run_shard(planned, store), "seeds")["pair17_m"] for planned in (shard, plain)]
     np.testing.assert_array_equal(*pairs)
 
 

@@ -16,6 +16,7 @@ from storage_schema import TABLES, ShardRecord, open_table, record_latest
 from tasks.priors import read_limits
 from tasks.rows.selection import select_pairs
 from tests.builders.sampling_store import QUICK, run_chains, with_seeds
+from tests.builders.storage_rows import having
 
 
 def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_and_go_out_as_a_table(
@@ -25,35 +26,27 @@ def test_selected_pairs_are_what_they_are_said_to_be_weigh_what_is_independent_a
     given = with_seeds(store, tables, num_seeds=1, num_grown=12)
     made = run_chains(store, given, densities=("ic", "prior_only"), starts="seeds")
     stages = {"seeds": [*given.of("seeds")], "chains": made}
-    shards = {name: [ShardRecord.of(one, store) for one in of] for name, of in stages.items()}
+    shards = {name: [ShardRecord.of(manifest, store) for manifest in of] for name, of in stages.items()}
     record_latest(store, "mine", "run", shards)
-    found = select_pairs(store, tuple(one.ref for of in stages.values() for one in of), 1000)
+    found = select_pairs(store, tuple(manifest.ref for of in stages.values() for manifest in of), 1000)
     rows = found.columns
     assert (found.num_draws, found.num_grown) == (2 * QUICK["num_draws"], 12)
     assert set(rows["density"]) == {"ic", None}
     for reference, pair in zip(rows["reference"], rows["pair17_m"], strict=True):
         np.testing.assert_array_equal(open_table(reference, store)["pair17_m"][0], pair)
-    info = [store.read(one.ref, "chain_info") for one in made if "chain_info" in one.tables]
+    info = [store.read(manifest.ref, "chain_info") for manifest in having("chain_info", made)]
     sizes = [size for table in info if table["density"][0] == "ic" for size in table["ess_min"]]
     share = np.clip(np.nan_to_num(sizes, nan=1.0), 1.0, QUICK["num_draws"]) / QUICK["num_draws"]
-    drawn = [
-        store.read(one.ref, "draws", columns=["density", "chain", "log_prior"]) for one in made if "draws" in one.tables
-    ]
-    num_drawn = np.sum(
-        [
-            [np.sum(table["log_prior"][table["chain"] == chain] >= MIN_LOG_PRIOR) for chain in range(len(share))]
-            for table in drawn
-            if table["density"][0] == "ic"
-        ],
-        axis=0,
-    )
-    grown = [store.read(one.ref, "seeds", columns=["origin", "log_prior", "pair17_m"]) for one in stages["seeds"]]
-    limits = read_limits(store, tuple(one.ref for one in stages["seeds"]))
-    num_grown = sum(
-        int(np.sum((table["log_prior"] >= MIN_LOG_PRIOR) & seed_quality(table["pair17_m"], limits).is_possible))
-        for table in grown
-        if "grown" in table["origin"]
-    )
+    num_drawn = np.zeros(len(share))
+    for manifest in having("draws", made):
+        table = store.read(manifest.ref, "draws")
+        if table["density"][0] == "ic":
+            num_drawn += [np.sum(table["log_prior"][table["chain"] == at] >= MIN_LOG_PRIOR) for at in range(len(share))]
+    (grown,) = (manifest for manifest in stages["seeds"] if manifest.name == "grown")
+    table = store.read(grown.ref, "seeds")
+    limits = read_limits(store, tuple(manifest.ref for manifest in stages["seeds"]))
+    is_plausible = table["log_prior"] >= MIN_LOG_PRIOR
+    num_grown = int(np.sum(is_plausible & seed_quality(table["pair17_m"], limits).is_possible))
     assert 0 < num_drawn.sum() <= found.num_draws
     assert 0 < num_grown <= found.num_grown
     assert found.num_plausible == num_drawn.sum() + num_grown

@@ -12,6 +12,7 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from tasks.evaluation.sets import TOPIC, judge_set, set_table
 from tasks.stage import Parameters, StageInputs
 from tests.builders.sampling_store import ONE_OF_THE_PRIOR, run_chains, with_seeds
+from tests.builders.storage_rows import having
 
 PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
 
@@ -37,7 +38,7 @@ def test_every_set_is_judged_at_one_size_on_held_out_takes_alone(inputs: Any) ->
     given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_filled=10)
     sweep = {"repaired": {"starts": "every", "densities": ["ic"], "repair_steps": 5}}
     made = run_chains(store, given, **ONE_OF_THE_PRIOR, sweep=sweep)
-    drawn = {name: [manifest for manifest in made if name in manifest.tables] for name in ("draws", "chain_info")}
+    drawn = {name: having(name, made) for name in ("draws", "chain_info")}
     known = {**given.manifests, **drawn}
     (shard,) = TOPIC.plan(StageInputs(known, seed=1), Parameters())
     result = TOPIC.compute(shard, store)

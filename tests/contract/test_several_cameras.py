@@ -22,6 +22,7 @@ from tasks.stage import Parameters, StageInputs
 from tests.builders.cameras_of_a_take import RATE_HZ, SIZE_PX, STEPS, FilmedCamera, calibrated, duet_m, see
 from tests.builders.ingest_runs import planned, run
 from tests.builders.rendered_film import write_film
+from tests.builders.storage_rows import having
 
 
 def write_camera(path: Path, seen: FilmedCamera) -> str:
@@ -40,11 +41,11 @@ def write_camera(path: Path, seen: FilmedCamera) -> str:
 def ingested(tmp_path: Path, seen: list[FilmedCamera], **first: str) -> tuple[Store, list[Manifest], list[Manifest]]:
     """Return the annotations of the cameras, whose first has these keys, too, and a database of other duets."""
     store = Store(tmp_path / "store")
-    paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]
+    paths = [write_camera(tmp_path / f"{number}.csv", camera) for number, camera in enumerate(seen)]
     sources = [{"id": "front", "path": paths[0], **first}, {"id": "side", "path": paths[1], "camera_of": "front"}]
     duets = [{"name": name, "duration_s": 4.0} for name in ("push_hands", "hug", "judo")]
     made = list(run(store, planned(rate_hz=RATE_HZ, duets=duets, annotations=sources)).values())
-    poses, annotations = ([one for one in made if table in one.tables] for table in ("poses", "annotations"))
+    poses, annotations = (having(table, made) for table in ("poses", "annotations"))
     inputs = StageInputs({"poses": poses}, seed=0)
     shards = projections.plan(inputs, projections.ProjectionsParameters())
     return store, annotations, [store.manifest(projections.run_shard(shard, store)) for shard in shards]
@@ -82,7 +83,7 @@ def test_two_sources_of_a_take_become_one_motion(tmp_path: Path) -> None:
     motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
     assert motion["cameras_name"].tolist() == ["front", "side"]
     # Evaluation reads the camera whose frames the motion has, whatever the order of the sources.
-    shown = [replace(one, facts={**one.facts, "takes": ["waltz"]}) for one in annotations[::-1]]
+    shown = [replace(manifest, facts={**manifest.facts, "takes": ["waltz"]}) for manifest in annotations[::-1]]
     (scored,) = TOPIC.plan(StageInputs({"annotations": shown, "motions": [manifest]}, seed=0), Parameters())
     assert [store.manifest(ref).partition for ref in scored.refs("annotations")] == ["front"]
     assert list(TOPIC.compute(scored, store).notes)[:2] == [f"front: {first}.", f"front: {side}."], "on the page"
@@ -93,13 +94,13 @@ def test_a_calibration_places_the_cameras_of_a_study(tmp_path: Path) -> None:
     path = tmp_path / "calib.toml"
     # In another order than the sources, with a camera that the study has not, and of images half as large again.
     tables = {"rear": (seen[0], 1.0), "side": (seen[1], 1.5), "front": (seen[0], 1.5)}
-    path.write_text("".join(calibrated(one.camera, name, scale=scale) for name, (one, scale) in tables.items()))
+    path.write_text("".join(calibrated(filmed.camera, name, scale=scale) for name, (filmed, scale) in tables.items()))
     store, annotations, database = ingested(tmp_path, seen, calibration=str(path))
     inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
     (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("fit",)))
     manifest = store.manifest(reconstruction.run_shard(shard, store))
     motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
-    focal = [one.camera.focal_px for one in seen]
+    focal = [filmed.camera.focal_px for filmed in seen]
     np.testing.assert_allclose(motion["cameras_focal_px"], focal, rtol=1e-6)
     between = np.linalg.norm(seen[0].camera.position_m - seen[1].camera.position_m)
     np.testing.assert_allclose(np.linalg.norm(np.subtract(*motion["cameras_position_m"])), between, rtol=1e-6)
@@ -154,7 +155,7 @@ def test_a_camera_of_no_source_is_refused() -> None:
 
 def test_a_camera_is_one_video(tmp_path: Path) -> None:
     seen = see(duet_m("waltz"), (20.0, 100.0))
-    paths = [write_camera(tmp_path / f"{number}.csv", one) for number, one in enumerate(seen)]
+    paths = [write_camera(tmp_path / f"{number}.csv", camera) for number, camera in enumerate(seen)]
     cut = [np.full((540, 960, 3), grey, dtype=np.uint8) for grey in (20, 230) for _ in range(30)]
     film = {"path": str(write_film(tmp_path / "film.avi", cut)), "detections": paths[0]}
     for first, other in (("film", "poses"), ("poses", "film")):

@@ -46,8 +46,8 @@ def test_couples_in_one_image_are_sampled_and_lifted_as_if_each_had_its_own(inpu
     np.testing.assert_array_equal(gather_tracks(shared), gather_tracks(apart))
 
     lifted = {}
-    for name, one, its_views in (("apart", annotations, seen), ("shared", ball, ball_views)):
-        stage_inputs = StageInputs({**given.manifests, "annotations": [one], "views": [its_views]}, seed=1)
+    for name, its_annotations, its_views in (("apart", annotations, seen), ("shared", ball, ball_views)):
+        stage_inputs = StageInputs({**given.manifests, "annotations": [its_annotations], "views": [its_views]}, seed=1)
         (shard,) = lifting.plan(stage_inputs, LiftingParameters(max_frames=6))
         table = store.read(store.manifest(lifting.run_shard(shard, store)).ref, "lifted_pairs")
         rows = np.flatnonzero(np.asarray(table["method"]) == "fitted")

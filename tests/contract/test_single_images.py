@@ -14,6 +14,7 @@ from tasks.evaluation.views import TOPIC as VIEWS
 from tasks.stage import StageInputs
 from tests.builders.own_sources import film_duet
 from tests.builders.real_study import build_here
+from tests.builders.storage_rows import having
 
 STUDY = """
 [study]
@@ -60,9 +61,7 @@ def test_images_give_views_and_are_left_out_of_reconstruction_with_the_reason(
     build_here(tmp_path / "images.toml", tmp_path / "store")
     assert len(set(open_table("views:images", tmp_path / "store")["frame"])) == 12
     store = Store(tmp_path / "store")
-    made = {
-        name: [one for one in store.artifacts() if name in one.tables] for name in ("views", "annotations", "poses")
-    }
+    made = {name: having(name, store.artifacts()) for name in ("views", "annotations", "poses")}
     (shard,) = VIEWS.plan(StageInputs(made, seed=1), VIEWS.settings())
     scored = VIEWS.compute(shard, store)
     assert (list(scored.scores), list(scored.notes)) == (

@@ -110,7 +110,7 @@ class StoreTests:
         assert not caplog.records
         assert make(elsewhere(), b"2") == first
         assert "computed a second time with other bytes" in caplog.text
-        assert [one.ref for one in elsewhere().artifacts()] == [first]
+        assert [manifest.ref for manifest in elsewhere().artifacts()] == [first]
         assert list((store.root / "tmp").iterdir()) == []
 
     def test_what_is_made_again_takes_its_place_unless_a_dataset_needs_the_old_one(
@@ -188,7 +188,7 @@ class StoreTests:
             latest = record_latest(store, "duets", run.run_id, {})
             assert store.can_write()
         other = elsewhere()
-        assert [one.run_id for one in list_runs(other)] == [run.run_id]
+        assert [record.run_id for record in list_runs(other)] == [run.run_id]
         assert read_latest(other, "duets") == latest
         with other.in_use(alone=True):
             other.remove_folders([other.root / "runs" / run.run_id])
@@ -226,9 +226,9 @@ class StoreTests:
 
     def test_the_digest_of_a_dataset_follows_its_artifacts(self, store: Store) -> None:
         refs = [commit_rows(store, name=str(number)) for number in range(3)]
-        one, same, other = (create_dataset(store, "a", part) for part in (refs, refs, refs[:2]))
-        assert one.digest == same.digest
-        assert one.digest != other.digest
+        first, same, other = (create_dataset(store, "a", part) for part in (refs, refs, refs[:2]))
+        assert first.digest == same.digest
+        assert first.digest != other.digest
 
     def test_what_cannot_be_a_dataset_is_refused(self, store: Store) -> None:
         refs = [commit_rows(store, name=str(number)) for number in range(3)]

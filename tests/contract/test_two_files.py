@@ -216,8 +216,8 @@ def test_a_partner_whose_names_are_exchanged_is_no_mirror_image(tmp_path: Path) 
     study = tmp_path / "mine.toml"
     said = write_new_study(study, files)
     assert any(line.startswith('in doubt: mirrored = "names": b.bvh: toes and knees') for line in said)
-    (b,) = (one for one in tomllib.loads(study.read_text())["ingest"]["takes"][0]["persons"] if "mirrored" in one)
-    assert b["mirrored"] == "names"
+    persons = tomllib.loads(study.read_text())["ingest"]["takes"][0]["persons"]
+    assert [person["mirrored"] for person in persons if "mirrored" in person] == ["names"]
     wrong, reason = made("wrong")
     assert 'left and right of b.bvh seem exchanged; look, and set mirrored = "names", because others' in reason
     mended, reason = made("mended", mirrored="names")

@@ -23,7 +23,7 @@ from pasdedeux.evaluation.verdicts import Criterion, Items, part_name
 from pasdedeux.reconstruction.matching import Method
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import Manifest, SourceCredit, Store
-from tasks import generation, reconstruction, training
+from tasks import generation, ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage, lifting
 from tasks.evaluation.topic import ScoresOf, Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs
@@ -141,7 +141,8 @@ def _learn_to_draw(store: Store) -> None:
 def _detect(store: Store) -> None:
     """Put the held-out take as a detector sees it into the small study's store, and what is reconstructed of that."""
     section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "has_detector": True}}
-    shards = [shard for shard in planned(**section) if (shard.partition, shard.name) == ("hug", "detector")]
+    shards = ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate(section))
+    shards = [shard for shard in shards if (shard.partition, shard.name) == ("hug", "detector")]
     database = having("projections", store.artifacts("projections"))
     inputs = StageInputs({"annotations": list(run(store, shards).values()), "projections": database}, seed=3)
     for shard in reconstruction.plan(inputs, reconstruction.ReconstructionParameters(methods=(Method.NEAREST,))):

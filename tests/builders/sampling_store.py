@@ -103,6 +103,15 @@ def put_annotations(
     return annotations, put(store, "views", take_id, {"views": views}, facts, (annotations,))
 
 
+def put_sampling_inputs(store: Store) -> dict[str, list[Manifest]]:
+    """Commit two takes to learn from, one held out and one of a single person, and random views of two of them."""
+    poses = [put_take(store, "one"), put_take(store, "two"), put_take(store, "kept_back", is_held_out=True)]
+    poses.append(put_take(store, "single", num_persons=1))
+    annotations, views = put_annotations(store, "one")
+    hidden_annotations, hidden_views = put_annotations(store, "kept_back", is_held_out=True)
+    return {"poses": poses, "annotations": [annotations, hidden_annotations], "views": [views, hidden_views]}
+
+
 def run(shards: list[Shard], module: Any, store: Store) -> list[Manifest]:
     return [store.manifest(module.run_shard(shard, store)) for shard in shards]
 

@@ -182,28 +182,16 @@ def test_a_detector_that_has_a_name_is_fetched_once_its_size_and_licence_are_agr
     assert address.sha256 in {file.sha256 for file in shot.files}
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        "http://example.org/net.onnx",
-        "HTTP://example.org/net.onnx",
-        "ftp://example.org/net.onnx",
-        "file:///etc/passwd",
-        "https://localhost/net.onnx",
-        "https://node7/net.onnx",
-        "https://printer.local/net.onnx",
-        "https://127.0.0.1/net.onnx",
-        "https://10.0.0.1/net.onnx",
-        "https://8.8.8.8/net.onnx",
-        "https://2130706433/net.onnx",
-        "https://0x7f.0.0.1/net.onnx",
-        "https://[::1]/net.onnx",
-        "https://example.org:8443/net.onnx",
-        "https://user:word@example.org/net.onnx",
-        "https://example.org@127.0.0.1/net.onnx",
-        "https://",
-    ],
-)
+REFUSED = """
+http://example.org/net.onnx HTTP://example.org/net.onnx ftp://example.org/net.onnx file:///etc/passwd
+https://localhost/net.onnx https://node7/net.onnx https://printer.local/net.onnx https://127.0.0.1/net.onnx
+https://10.0.0.1/net.onnx https://8.8.8.8/net.onnx https://2130706433/net.onnx https://0x7f.0.0.1/net.onnx
+https://[::1]/net.onnx https://example.org:8443/net.onnx https://user:word@example.org/net.onnx
+https://example.org@127.0.0.1/net.onnx https://
+"""
+
+
+@pytest.mark.parametrize("url", REFUSED.split())
 def test_addresses_other_than_https_to_a_public_name_are_refused_before_a_word_is_sent(
     url: str, film: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -22,17 +23,19 @@ from tasks.seeds.files import pair_of_draw
 from tasks.stage import StageInputs
 from tasks.summary import summary_of
 from tests.builders.ingest_runs import judged
-from tests.builders.sampling_store import run, run_chains, with_seeds
+from tests.builders.sampling_store import put_sampling_inputs, run, run_chains, with_seeds
 
 REPAIR = {"starts": "every", "densities": ("ic",), "num_views": 4, "repair_steps": 20}
 
 
-@pytest.fixture
-def repaired(inputs: Any, monkeypatch: pytest.MonkeyPatch) -> tuple[Store, StageInputs, list[Manifest]]:
-    monkeypatch.setattr(sys.modules["tasks.chains.plan"], "_STARTS_OF_A_SHARD", 12)
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_filled=15)
-    return store, given, run(chains.plan(given, ChainsParameters(**REPAIR)), chains, store)
+@pytest.fixture(scope="module")
+def repaired(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Store, StageInputs, list[Manifest]]]:
+    """Give a store, what chains read of it, and what is repaired in shards of 12 pairs."""
+    store = Store(tmp_path_factory.mktemp("repaired"))
+    given = with_seeds(store, put_sampling_inputs(store), num_seeds=1, num_grown=20, num_filled=15)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules["tasks.chains.plan"], "_STARTS_OF_A_SHARD", 12)
+        yield store, given, run(chains.plan(given, ChainsParameters(**REPAIR)), chains, store)
 
 
 def test_every_grown_and_filled_pair_is_repaired_once(repaired: Any) -> None:

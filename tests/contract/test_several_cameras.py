@@ -51,33 +51,36 @@ def ingested(tmp_path: Path, seen: list[FilmedCamera], **first: str) -> tuple[St
     return store, annotations, [store.manifest(projections.run_shard(shard, store)) for shard in shards]
 
 
+def reconstructed(
+    store: Store, annotations: list[Manifest], database: list[Manifest], methods: tuple[str, ...] = ("fit",)
+) -> Manifest:
+    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
+    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=methods))
+    assert (shard.partition, len(shard.refs("annotations"))) == ("front", 2)
+    return store.manifest(reconstruction.run_shard(shard, store))
+
+
 def test_two_sources_of_a_take_become_one_motion(tmp_path: Path) -> None:
     truth_m = duet_m("waltz")
     seen = see(truth_m, (20.0, 100.0))
     store, annotations, database = ingested(tmp_path, seen)
-    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
-    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("nearest", "fit")))
-    assert (shard.partition, len(shard.refs("annotations"))) == ("front", 2)
-    manifest = store.manifest(reconstruction.run_shard(shard, store))
+    manifest = reconstructed(store, annotations, database, ("nearest", "fit"))
     table = store.read(manifest.ref, "motions")
-    method, person_id = np.array(table["method"]), np.asarray(table["person_id"])
-    assert set(method) == {"fit", "fit_clean"}
+    assert set(table["method"]) == {"fit", "fit_clean"}
     assert manifest.facts["methods"] == ["fit"]
     first, side = manifest.facts["cameras"]
     assert first.startswith("camera front: ")
     assert "degrees from the first camera" in side
     assert manifest.facts["skipped"] == []
-    joints, frames = np.asarray(table["op14_m"], dtype=float), np.asarray(table["frame"])
-    apart, errors = [], []
+    places = []
     for person in (0, 1):
-        rows = (method == "fit_clean") & (person_id == person)
-        found = joints[rows]
-        each = truth_m[60 + STEPS * frames[rows]] @ seen[0].camera.camera_from_world_rotmat.T
-        away = [np.abs((each[:, who] - each[:, who, :1]) - (found - found[:, :1])).mean() for who in (0, 1)]
-        errors.append(min(away))
-        apart.append((found[:, 0], each[:, int(np.argmin(away)), 0]))
-    assert max(errors) < 0.03
-    (a, true_a), (b, true_b) = apart
+        rows = (table["method"] == "fit_clean") & (table["person_id"] == person)
+        pose = table["op14_m"][rows].astype(float)
+        true = truth_m[60 + STEPS * table["frame"][rows]] @ seen[0].camera.camera_from_world_rotmat.T
+        errors = [np.abs((true[:, who] - true[:, who, :1]) - (pose - pose[:, :1])).mean() for who in (0, 1)]
+        assert min(errors) < 0.03
+        places.append((pose[:, 0], true[:, int(np.argmin(errors)), 0]))
+    (a, true_a), (b, true_b) = places
     assert np.linalg.norm((a - b) - (true_a - true_b), axis=-1).mean() < 0.06
     assert sorted(manifest.attachments) == ["front_0.bvh", "front_0.npz", "front_1.bvh", "front_1.npz"]
     motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
@@ -96,9 +99,7 @@ def test_a_calibration_places_the_cameras_of_a_study(tmp_path: Path) -> None:
     tables = {"rear": (seen[0], 1.0), "side": (seen[1], 1.5), "front": (seen[0], 1.5)}
     path.write_text("".join(calibrated(filmed.camera, name, scale=scale) for name, (filmed, scale) in tables.items()))
     store, annotations, database = ingested(tmp_path, seen, calibration=str(path))
-    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
-    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("fit",)))
-    manifest = store.manifest(reconstruction.run_shard(shard, store))
+    manifest = reconstructed(store, annotations, database)
     motion = read_npz(store.attachment(manifest.ref, "front_0.npz"), "motion")
     focal = [filmed.camera.focal_px for filmed in seen]
     np.testing.assert_allclose(motion["cameras_focal_px"], focal, rtol=1e-6)
@@ -134,9 +135,7 @@ def test_a_calibration_that_does_not_fit_is_refused_before_work(
 def test_a_camera_of_another_take_is_said_and_nothing_is_made(tmp_path: Path) -> None:
     seen = [see(duet_m("waltz"), (20.0,))[0], see(duet_m("judo"), (20.0, 100.0))[1]]
     store, annotations, database = ingested(tmp_path, seen)
-    inputs = StageInputs({"annotations": annotations, "projections": database}, seed=0)
-    (shard,) = reconstruction.plan(inputs, ReconstructionParameters(methods=("fit",)))
-    manifest = store.manifest(reconstruction.run_shard(shard, store))
+    manifest = reconstructed(store, annotations, database)
     assert store.read(manifest.ref, "motions").num_rows == 0
     (reason,) = manifest.facts["skipped"]
     assert reason.startswith("front: cameras front")

@@ -29,16 +29,17 @@ from tasks.stage import StageInputs
 from tasks.stage.facts import SeedFacts
 from tests.builders.drawn_pairs import put_draws
 from tests.builders.ingest_runs import judged
-from tests.builders.sampling_store import pairs_of, run, run_chains, with_seeds
+from tests.builders.sampling_store import pairs_of, put_sampling_inputs, run, run_chains, with_seeds
 from tests.builders.storage_rows import having, put, random_columns, take_rows
 
 VIDEO = {"purpose": "video", "rate_hz": 30.0}
 
 
-@pytest.fixture
-def grown(inputs: Any) -> tuple[Store, StageInputs]:
-    store, tables = inputs
-    return store, with_seeds(store, tables, num_seeds=1, num_grown=30)
+@pytest.fixture(scope="module")
+def grown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, StageInputs]:
+    """Return a store and what is lifted in it; what a test commits besides needs a name of its own."""
+    store = Store(tmp_path_factory.mktemp("grown"))
+    return store, with_seeds(store, put_sampling_inputs(store), num_seeds=1, num_grown=30)
 
 
 def lift(store: Store, given: StageInputs, **parameters: Any) -> dict[str, Manifest]:
@@ -116,7 +117,7 @@ def lifted_more_often(store: Store, given: StageInputs, sizes: Sequence[float]) 
     columns = {name: [table[name][row] for row in rows] for name in table.column_names}
     columns["pair17_m"] = [np.asarray(pair) * size for pair, size in zip(columns["pair17_m"], scale, strict=True)]
     columns["seed_index"] = list(range(len(rows)))
-    more = put(store, "seeds", "more", {"seeds": columns}, seeds.facts)
+    more = put(store, "seeds", f"{len(sizes)} more", {"seeds": columns}, seeds.facts)
     return StageInputs({**given.manifests, "seeds": [more]}, seed=1)
 
 
@@ -190,7 +191,7 @@ def filmed(store: Store, given: StageInputs, facts: dict[str, Any], *, every: in
     columns["op14_px"] = columns["pair17_px"][:, PAIR17.indices(OP14.joint_names)]
     keep = np.flatnonzero(columns["is_key"] & (columns["frame"] % every == 0))
     columns = {name: [values[row] for row in keep] for name, values in columns.items()}
-    name = f"film{len(facts)}{every}"
+    name = f"film of {'-'.join([*facts, str(every)])}"
     film = put(store, "ingest", name, {"annotations": columns}, {**annotations.facts, **facts})
     columns = {name: list(seen[name]) for name in seen.column_names}
     columns["frame"] = [int(name[-5:]) for name in columns["sequence_id"]]

@@ -24,6 +24,7 @@ from tests.builders.toy_runs import ROOT, run_toys, wait_until
 
 __all__ = [
     "SMALL",
+    "STUDIES",
     "Answer",
     "BuiltStudy",
     "RealRun",
@@ -37,45 +38,8 @@ __all__ = [
     "wait_until_gone",
 ]
 
-SMALL = """
-[study]
-name = "small"
-title = "Two short duets"
-seed = 3
-
-[ingest]
-rate_hz = 12.0
-duets = [{ name = "waltz", duration_s = 2.0 }, { name = "hug", duration_s = 1.5 }]
-held_out = ["hug"]
-virtual_video = { num_random_views = 12 }
-
-[seeds]
-num_seeds = 1
-
-[chains]
-densities = ["ic", "prior_only"]
-num_chains = 2
-num_draws = 20
-segment_draws = 10
-num_candidates = 12
-num_views = 4
-
-[lifting]
-max_frames = 3
-between_frames = 4
-num_spans = 1
-
-[augmentation]
-scales = [0.75, 0.95, 1.05, 1.25]
-
-[projections]
-pitches_deg = [0.0, 20.0]
-num_clusters = 8
-
-[evaluation]
-num_truth_pairs = 12
-num_completed_pairs = 1
-"""
+STUDIES = Path(__file__).with_name("studies")
+SMALL = (STUDIES / "small.toml").read_text()
 """Every stage on two duets of a second or two, one of them held out; computed in some 20 s of processor time."""
 
 

@@ -13,43 +13,13 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import Store
 from tasks.stage.facts import VariantFacts
 from tasks.training.items import StoredVariants
-from tests.builders.real_study import build_here
+from tests.builders.real_study import STUDIES, build_here
 
 pytestmark = pytest.mark.slow
 
-STUDY = """
-[study]
-name = "drawn"
-stages = ["ingest", "augmentation", "training", "generation", "evaluation"]
-
-[ingest]
-rate_hz = 10
-virtual_video = { num_videos = 0, num_random_views = 0 }
-duets = [{ name = "waltz", duration_s = 4 }, { name = "hug", duration_s = 4 }, { name = "push_hands", duration_s = 4 }]
-
-[augmentation]
-kinds = ["uniform"]
-persons = ["B"]
-scales = [0.8, 0.9, 1.1, 1.2]
-
-[training]
-splits = ["cross_interaction"]
-models = ["paper_cvae"]
-paper_cvae = { num_steps = 3, segment_steps = 3 }
-
-[generation]
-model = "paper_cvae"
-num_variants = 2
-
-[evaluation]
-num_realism_variants = 1
-classifier = { num_steps = 20 }
-"""
-
 
 def test_a_model_trained_on_duets_generates_sound_variants_that_are_scored_and_exported(tmp_path: Path) -> None:
-    (tmp_path / "drawn.toml").write_text(STUDY)
-    build_here(tmp_path / "drawn.toml", tmp_path / "store")
+    build_here(STUDIES / "generation.toml", tmp_path / "store")
     store = Store(tmp_path / "store")
     generated = list(store.artifacts("generation"))
     (model,) = [manifest for manifest in store.artifacts("training") if "models" in manifest.tables]

@@ -13,48 +13,11 @@ from flows.console.study_new import write_new_study
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, open_table, read_latest
 from tests.builders.own_sources import FilmedDuet, film_duet, write_coco, write_csv, write_openpose, write_walk
-from tests.builders.real_study import build_here, call_in_process, graph
+from tests.builders.real_study import STUDIES, build_here, call_in_process, graph
 from tests.builders.toy_runs import run_toys
 
 pytestmark = pytest.mark.slow
 
-STUDY = """
-[study]
-name = "own"
-seed = 5
-
-[ingest]
-rate_hz = 12.0
-duets = [{ name = "waltz", duration_s = 2.0 }, { name = "hug", duration_s = 1.0 }]
-takes = [{ id = "walk", files = ["90_01.amc"], rate_hz = 120, licence = "CC BY 4.0", credit = "From mocap.cs.cmu.edu" }]
-held_out = ["hug"]
-virtual_video = { num_random_views = 8 }
-annotations = [
-    { id = "detected", path = "detected", rate_hz = 12, on_unreadable = "skip", credit = "Filmed by us" },
-    { id = "known", path = "known", rate_hz = 12, take_id = "hug", licence = "CC0-1.0" },
-    { id = "labelled", path = "labelled.json", rate_hz = 12 },
-    { id = "table", path = "table.csv" },
-]
-
-[seeds]
-num_seeds = 1
-
-[chains]
-num_chains = 1
-num_draws = 4
-segment_draws = 4
-num_candidates = 8
-num_views = 2
-
-[augmentation]
-scales = [0.9, 0.95, 1.05, 1.2]
-
-[projections]
-pitches_deg = [0.0, 10.0]
-
-[evaluation]
-num_truth_pairs = 8
-"""
 GIVEN = ("detected", "known", "labelled", "table")
 UNREADABLE = "detected_000000000005_keypoints.json"
 
@@ -81,8 +44,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Own:
     write_openpose(folder / "known", duet, "coco18")
     write_coco(folder / "labelled.json", duet)
     write_csv(folder / "table.csv", duet)
-    study, store = folder / "own.toml", folder / "store"
-    study.write_text(STUDY)
+    study, store = Path(shutil.copy(STUDIES / "own.toml", folder)), folder / "store"
     build_here(study, store)
     (report,) = (store / "runs").glob("*/report")
     return Own(study, store, (report / "report.html").read_text(), (report / "card.md").read_text(), duet)

@@ -9,55 +9,10 @@ import pytest
 
 from pasdedeux.skeletons import BODY22, OP14
 from storage_schema import open_table
-from tests.builders.real_study import build_here
+from tests.builders.real_study import STUDIES, build_here
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
 
-STUDY = """
-[study]
-name = "slice"
-seed = 1
-
-[ingest]
-rate_hz = 15.0
-held_out = ["salsa_03"]
-virtual_video = {{ num_random_views = 16 }}
-
-[ingest.pairs.salsa]
-folder = "{folder}"
-subjects = ["60", "61"]
-takes = ["01", "03"]
-id = "salsa_{{take}}"
-frames = [1440, 1560]
-rate_hz = 60
-licence = "free for all uses"
-credit = "mocap.cs.cmu.edu, funded by NSF EIA-0196217"
-persons = [{{ metres_per_unit = 1.263 }}, {{ metres_per_unit = 1.191 }}]
-
-[seeds]
-num_seeds = 1
-
-[chains]
-num_chains = 1
-num_draws = 8
-segment_draws = 8
-num_candidates = 16
-num_views = 4
-
-[augmentation]
-scales = [0.85, 0.95, 1.05, 1.15]
-
-[projections]
-pitches_deg = [0.0, 10.0, 20.0]
-
-[lifting]
-max_frames = 4
-between_frames = 6
-
-[evaluation]
-num_truth_pairs = 16
-num_completed_pairs = 1
-"""
 NUM_FRAMES = 30
 TAKES = ("salsa_01", "salsa_03")
 
@@ -65,11 +20,9 @@ TAKES = ("salsa_01", "salsa_03")
 @pytest.fixture(scope="module")
 def store(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the study in this process."""
-    folder = tmp_path_factory.mktemp("salsa")
-    study = folder / "slice.toml"
-    study.write_text(STUDY.format(folder=data_dir / "cmu_salsa_bvh"))
-    build_here(study, folder / "store")
-    return folder / "store"
+    store = tmp_path_factory.mktemp("salsa") / "store"
+    build_here(STUDIES / "slice.toml", store, f"ingest.pairs.salsa.folder={data_dir / 'cmu_salsa_bvh'}")
+    return store
 
 
 def pairs(store: Path, take: str) -> np.ndarray:

@@ -13,8 +13,6 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["Measured", "measure", "place_m"]
-
 
 @dataclass(frozen=True)
 class Measured:

@@ -13,8 +13,6 @@ from pasdedeux.formats.rigs.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["SALSA_TAKES", "duet_couple", "salsa_couple", "salsa_motions"]
-
 Array = npt.NDArray[np.float64]
 
 SALSA_TAKES = ("01", "02", "03", "04", "05", "06", "07", "09", "10", "11", "12")

@@ -10,8 +10,6 @@ from storage_schema import Store
 from tasks.stage import Shard
 from tasks.training import STAGE
 
-__all__ = ["train_until_killed"]
-
 
 def train_until_killed(shards: Sequence[Shard], root: Path, step: int) -> int:
     """Run shards in a process of their own that is killed in the given step of Adam; return its exit code."""

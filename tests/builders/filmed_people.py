@@ -13,8 +13,6 @@ from pasdedeux.people.identity import body_size_px
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = ["KINDS", "Detections", "Faulty", "JointCounts", "count_joints", "film", "inject", "joined", "people_of"]
-
 Array = npt.NDArray[np.float64]
 
 KINDS = ("body", "arms", "legs", "exchanged", "stolen", "merged")

@@ -22,8 +22,6 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS
 
-__all__ = ["FilmedDuet", "film_duet", "real_motions", "write_coco", "write_csv", "write_openpose", "write_walk"]
-
 Array = npt.NDArray[np.float64]
 
 _BONES = {

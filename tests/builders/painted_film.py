@@ -12,8 +12,6 @@ import numpy as np
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.source_samples import person_px
 
-__all__ = ["painted", "scene", "walker_px", "write_keys"]
-
 NAMES = KEYPOINT_LAYOUTS["coco17"].keypoint_names
 
 

@@ -22,22 +22,6 @@ from tasks.graph import Graph, load_graph
 from tests.builders.command_line import Answer
 from tests.builders.toy_runs import ROOT, run_toys, wait_until
 
-__all__ = [
-    "SMALL",
-    "STUDIES",
-    "Answer",
-    "BuiltStudy",
-    "RealRun",
-    "build_here",
-    "call_in_process",
-    "committed",
-    "digests",
-    "graph",
-    "never_begun",
-    "refused",
-    "wait_until_gone",
-]
-
 STUDIES = Path(__file__).with_name("studies")
 SMALL = (STUDIES / "small.toml").read_text()
 """Every stage on two duets of a second or two, one of them held out; computed in some 20 s of processor time."""

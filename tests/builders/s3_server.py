@@ -15,8 +15,6 @@ import pytest
 from moto.server import DomainDispatcherApplication, create_backend_app
 from werkzeug.serving import WSGIRequestHandler, make_server
 
-__all__ = ["SECRET", "S3Server", "s3_server"]
-
 SECRET = "not-for-any-log-4711"
 BUCKET = "datasets"
 Answer = Callable[..., Iterable[bytes]]

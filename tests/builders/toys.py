@@ -26,8 +26,6 @@ from tasks.stage.committing import commit
 from tasks.stage.facts import Facts, TakeFacts, merge_takes
 from tasks.stage.streams import stream
 
-__all__ = ["TOYS", "toys_with"]
-
 HOLD_LIMIT_S = 60.0
 
 

@@ -16,8 +16,6 @@ from pasdedeux.reconstruction.reconstruct import ReconstructedTrack
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["CAMERAS", "database_of", "random_poses", "reconstruction", "walk", "walk_database"]
-
 Array = npt.NDArray[np.float64]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import cycle
 from pathlib import Path
 
@@ -149,8 +149,8 @@ def test_a_corrected_2d_joint_is_lifted_again(editor: Editor) -> None:
     editor._begin()
 
 
-def wait_for(viewer: Viewer, what: str, is_so: object) -> None:
-    wait_until(is_so, what, limit_s=240.0)  # type: ignore[arg-type]
+def wait_for(what: str, is_so: Callable[[], object]) -> None:
+    wait_until(lambda: bool(is_so()), what, limit_s=240.0)
 
 
 def screenshot(tab: Tab, name: str, folder: Path) -> None:
@@ -206,8 +206,8 @@ def drag_hand(tab: Tab, viewer: Viewer, editor: Editor) -> None:
             next(tries)()
         return viewer.pose is not None
 
-    wait_for(viewer, "the drag", is_dragged)
-    wait_for(viewer, "its end", lambda: np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02)
+    wait_for("the drag", is_dragged)
+    wait_for("its end", lambda: np.abs(editor.pose - before)[0, PAIR17.index("left_wrist"), 0] > 0.02)
     np.testing.assert_allclose(bone_lengths(PAIR17, editor.pose), bone_lengths(PAIR17, before), atol=1e-9)
 
 
@@ -215,55 +215,53 @@ def test_in_a_browser_people_look_play_step_filter_choose_and_restart(editor: Ed
     viewer = editor.viewer
     part_of(viewer, "variants")
     with open_page(viewer.url, tmp_path) as tab:
-        wait_for(
-            viewer, "the page", lambda: viewer.server.get_clients() and tab.run("!!document.querySelector('canvas')")
-        )
-        wait_for(viewer, "the panel", lambda: tab.run(FACTS))
+        wait_for("the page", lambda: viewer.server.get_clients() and tab.run("!!document.querySelector('canvas')"))
+        wait_for("the panel", lambda: tab.run(FACTS))
         tab.press("ArrowRight")
-        wait_for(viewer, "a step", lambda: viewer.frame == 1)
+        wait_for("a step", lambda: viewer.frame == 1)
         tab.press(" ")
-        wait_for(viewer, "playing", lambda: viewer.is_playing and viewer.frame > 3)
+        wait_for("playing", lambda: viewer.is_playing and viewer.frame > 3)
         tab.press(" ")
-        wait_for(viewer, "the stop", lambda: not viewer.is_playing)
+        wait_for("the stop", lambda: not viewer.is_playing)
         tab.press("End")
-        wait_for(viewer, "the end", lambda: viewer.frame == viewer.scene.num_frames - 1)
+        wait_for("the end", lambda: viewer.frame == viewer.scene.num_frames - 1)
         screenshot(tab, "variants-wide", tmp_path)
         first = viewer.item.names
         tab.press("x")
-        wait_for(viewer, "a rejection", lambda: read_choices(viewer.curation.choosing.path))
+        wait_for("a rejection", lambda: read_choices(viewer.curation.choosing.path))
         assert read_choices(viewer.curation.choosing.path)["variants " + "/".join(first)].decision == "reject"
         tab.press("ArrowDown")
-        wait_for(viewer, "the next item", lambda: viewer.item.names != first)
+        wait_for("the next item", lambda: viewer.item.names != first)
         tab.press("k")
-        wait_for(viewer, "an acceptance", lambda: len(read_choices(viewer.curation.choosing.path)) == 2)
+        wait_for("an acceptance", lambda: len(read_choices(viewer.curation.choosing.path)) == 2)
         viewer.listing.only.value = "rejected"
         viewer.list_anew()
         assert [viewer.shelf.items(viewer.part)[at].names for at in viewer.listing.order] == [first]
         viewer.listing.only.value = "all"
         with open_page(f"{viewer.url}?at={viewer.moment.reference.replace('#', '%23')}", tmp_path, width=400) as narrow:
-            wait_for(viewer, "a second browser", lambda: len(viewer.server.get_clients()) == 2)
-            wait_for(viewer, "its people", lambda: narrow.run("!!document.querySelector('canvas')"))
+            wait_for("a second browser", lambda: len(viewer.server.get_clients()) == 2)
+            wait_for("its people", lambda: narrow.run("!!document.querySelector('canvas')"))
             screenshot(narrow, "variants-narrow", tmp_path)
             assert narrow.errors == []
         part_of(viewer, "annotations")
         tab.click("Change and restart")
         tab.click("change this pair")
-        wait_for(viewer, "the 2D poses", lambda: tab.run(f"!!({PICTURE})"))
+        wait_for("the 2D poses", lambda: tab.run(f"!!({PICTURE})"))
         joint, before = PAIR17.index("left_wrist"), viewer.scene.images(viewer.frame)[0]
         drag_joint(tab, before, joint, away_px=60.0)
-        wait_for(viewer, "the drag", lambda: viewer.image_px is not None)
-        wait_for(viewer, "its end", lambda: abs(viewer.image_px - before.points_px)[0, joint, 0] > 57.0)
+        wait_for("the drag", lambda: viewer.image_px is not None)
+        wait_for("its end", lambda: abs(viewer.image_px - before.points_px)[0, joint, 0] > 57.0)
         screenshot(tab, "annotations-corrected", tmp_path)
         part_of(viewer, "draws")
-        wait_for(viewer, "the handle", lambda: editor._hand.visible)
+        wait_for("the handle", lambda: editor._hand.visible)
         drag_hand(tab, viewer, editor)
         tab.click("Restart chains from here")
-        wait_for(viewer, "the restart", lambda: editor.process is not None)
+        wait_for("the restart", lambda: editor.process is not None)
         assert tab.errors == []
         hosts = {url.split("/")[2] for url in tab.requests if url.startswith(("http", "ws"))}
         assert hosts == {viewer.url.split("/")[2]}, "nothing is loaded from elsewhere"
     assert editor.process is not None
     wait_until(lambda: editor.process is None or editor.process.poll() is not None, "chains", limit_s=300.0)
-    wait_for(viewer, "their draws", lambda: any(part.name.startswith("restart") for part in viewer.shelf.parts))
+    wait_for("their draws", lambda: any(part.name.startswith("restart") for part in viewer.shelf.parts))
     assert editor.process.returncode == 0, "it went on without a browser"
-    wait_for(viewer, "its last word", lambda: str(editor._progress.value).startswith("done: "))
+    wait_for("its last word", lambda: str(editor._progress.value).startswith("done: "))

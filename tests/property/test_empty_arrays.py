@@ -43,7 +43,7 @@ OF_NOTHING: dict[str, tuple[Callable[[], Any], tuple[int, ...]]] = {
 
 
 @pytest.mark.parametrize("name", OF_NOTHING)
-def test_of_nothing_there_is_nothing(name: str) -> None:
+def test_empty_arrays_give_empty_results(name: str) -> None:
     call, shape = OF_NOTHING[name]
     assert np.shape(call()) == shape
 

@@ -104,7 +104,7 @@ def test_a_bone_that_stretches_is_refused_with_joint_frame_and_amount(reader: Ca
         reader(stretched(11, 11, 16, 11))
 
 
-def test_zeros_in_the_place_of_an_offset_say_nothing() -> None:
+def test_position_channels_of_zeros_keep_the_offset() -> None:
     source = read_bvh(stretched(0, 0, 0, 0))
     assert source.rest_offsets[source.skeleton.index("Spine1"), 1] == 11
     assert source.notes == ()

@@ -156,7 +156,7 @@ def test_frames_that_another_program_counts_in_a_trial_are_read():
     assert _num_frames(parameters | {"TRIAL:ACTUAL_END_FIELD": np.array([70, 0], "<i2")}, 1, 70, b"", 16) == 70
 
 
-def test_a_scene_of_somebody_else_is_told_how_to_come_in():
+def test_the_message_about_a_gltf_scene_says_what_to_export():
     for scene in (b"glTF\x02\0\0\0", b'{"asset": {"version": "2.0"}, "nodes": []}'):
         with pytest.raises(FormatError, match=r"this is a glTF scene.*export its armature as BVH"):
             recognise_format(scene)

@@ -112,7 +112,7 @@ def test_a_rest_pose_that_is_no_person_raises_no_doubt_of_one_frame_that_stands(
     assert guess.confidence > 0.9
 
 
-def test_hands_that_stand_leave_doubt() -> None:
+def test_a_handstand_leaves_the_up_axis_in_doubt() -> None:
     """The feet of somebody who stands on the hands are above the head, so the wrong axis may seem to point up."""
     source = read_bvh(SMALL_BVH)
     names = source.skeleton.joint_names
@@ -129,7 +129,7 @@ def test_hands_that_stand_leave_doubt() -> None:
     assert guess_up_axis(replace(on_hands, local_unitquat=local)).confidence > 0.9
 
 
-def test_who_stands_still_with_straight_knees_is_told_by_the_feet() -> None:
+def test_feet_tell_the_sides_of_a_person_who_stands_still() -> None:
     guess = guess_motion(read_bvh(SMALL_BVH))
     assert guess.unit.metres_per_unit == 0.01
     assert guess.unit.height_m == pytest.approx(1.69, abs=0.05)

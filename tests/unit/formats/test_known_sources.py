@@ -30,7 +30,7 @@ NOTHING = KnownSource()
         ("01_13.amc", "cmu_asf", None, False, NOTHING),
     ],
 )
-def test_only_files_that_are_known_to_lie_are_put_right(
+def test_only_files_known_to_state_wrong_values_are_corrected(
     name: str, layout: str, stated_hz: float | None, is_fetched: bool, expected: KnownSource
 ) -> None:
     assert known_source(name, layout, stated_hz=stated_hz, is_fetched=is_fetched) == expected

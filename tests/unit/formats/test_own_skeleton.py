@@ -154,7 +154,7 @@ def test_every_joint_that_is_drawn_has_a_length(tmp_path: Path) -> None:
         assert set(again.skeleton.joint_names) == set(motion.skeleton.joint_names)
 
 
-def test_a_last_joint_that_lies_on_the_one_before_goes_on_as_the_last_bone_that_has_a_length() -> None:
+def test_an_end_at_its_parent_continues_the_last_bone_that_has_a_length() -> None:
     plain = figure_motion()
     toe = plain.skeleton.index("left_toe")
     motion = plain.with_joints(["tip"], [toe], [np.zeros(3)])

@@ -109,7 +109,7 @@ def test_junk_of_low_confidence_is_masked_and_labels_stay() -> None:
     assert found.is_touched[~junk].mean() < 0.01
 
 
-def test_scraps_are_left_as_they_are() -> None:
+def test_too_few_frames_or_joints_are_left_as_they_are() -> None:
     short = repair_faults(np.zeros((1, 2, 14, 2)), np.ones((1, 2, 14)), rate_hz=30.0)
     assert not short.is_masked.any()
     blind = repair_faults(np.full((2, 9, 14, 2), np.nan), np.zeros((2, 9, 14)), rate_hz=30.0)

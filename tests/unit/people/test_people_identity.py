@@ -138,7 +138,7 @@ def test_junk_joints_of_low_confidence_split_nobody(confidence: float) -> None:
         assert switches(spoilt, found) == 0
 
 
-def test_nothing_seen_gives_nothing() -> None:
+def test_no_detection_gives_no_track() -> None:
     empty = follow_people(np.zeros(0, np.int64), np.zeros((0, 14, 2)), np.zeros((0, 14)), rate_hz=30.0)
     assert len(empty.track_id) == 0
     blind = follow_people(np.arange(3), np.full((3, 14, 2), np.nan), np.ones((3, 14)), rate_hz=30.0)

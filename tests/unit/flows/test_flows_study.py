@@ -200,9 +200,7 @@ def test_lists_of_an_extended_study_are_replaced_not_joined(tmp_path: Path) -> N
     assert section["rate_hz"] == 60
 
 
-def test_paths_are_relative_to_their_file_and_those_of_settings_to_the_current_folder(
-    tmp_path: Path,
-) -> None:
+def test_paths_are_relative_to_their_file_and_those_of_settings_to_the_current_folder(tmp_path: Path) -> None:
     path = chain_of(
         tmp_path,
         **{

@@ -13,10 +13,7 @@ from flows.machine import GIB, cluster_settings, kernel_cache, memory_bytes, usa
 from storage_schema import Store
 from storage_schema.durable import cache_folder
 from tasks.ingest.film.detector_files import NetworkAddress
-from tasks.shards import (
-    ClusterSettings,
-    worker_environment,
-)
+from tasks.shards import ClusterSettings, worker_environment
 
 
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

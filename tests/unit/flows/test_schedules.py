@@ -56,9 +56,7 @@ class Server:
             raise ObjectNotFound(Exception("it is not there"))
 
 
-def test_a_store_has_one_queue_that_is_made_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_store_has_one_queue_that_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     from flows import schedules
 
     applied: list[Any] = []

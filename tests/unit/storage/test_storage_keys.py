@@ -75,8 +75,7 @@ def test_a_content_digest_does_not_depend_on_the_order_of_files_and_facts() -> N
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"files": {"a": "2", "b": "1"}}, {"facts": {"takes": ["hug"]}}, {"partition": "hug"}, {"name": "other"}],
+    "change", [{"files": {"a": "2", "b": "1"}}, {"facts": {"takes": ["hug"]}}, {"partition": "hug"}, {"name": "other"}]
 )
 def test_a_content_digest_is_over_all_that_others_may_read(change: dict) -> None:
     assert digest(**change) != digest()

@@ -92,9 +92,7 @@ def test_a_section_that_is_not_in_the_study_is_checked_as_well_as_its_stage_runs
         make_plan(study, stages, Store(tmp_path / "store"))
 
 
-def test_the_small_study_of_the_augmentation_paper_can_be_planned_without_files(
-    tmp_path: Path,
-) -> None:
+def test_the_small_study_of_the_augmentation_paper_can_be_planned_without_files(tmp_path: Path) -> None:
     text = study_text("augmentation_paper", tmp_path).replace("\\\n", " ").replace("#", "")
     command = text.partition("pasdedeux run augmentation_paper --preview")[2].partition("\n")[0]
     study, stages = load_study("augmentation_paper_duets", load_graph(), settings=shlex.split(command)[3::2])

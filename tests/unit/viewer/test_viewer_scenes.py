@@ -112,9 +112,7 @@ def put_reconstruction(
     return put(store, "reconstruction", name, {"motions": columns}, facts, inputs)
 
 
-def test_a_reconstruction_stands_upright_and_its_error_is_of_limbs_about_the_root(
-    store: Store,
-) -> None:
+def test_a_reconstruction_stands_upright_and_its_error_is_of_limbs_about_the_root(store: Store) -> None:
     """Bodies are a tenth too large, and three metres away: a tenth of the distance of limbs from the root is wrong."""
     _, videos, poses = put_truth(store, "body22_m")
     true = poses["hidden"][1:] @ TURNS["film hidden"].T

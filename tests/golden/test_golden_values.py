@@ -85,12 +85,16 @@ def test_the_keys_of_a_study_have_the_ranges_and_the_defaults_they_always_had() 
 
 def _options(command: Any, path: str) -> Iterator[str]:
     """Yield each argument and option of a command and of those below it, with its range and its default."""
-    for one in command.params:
-        names = "/".join((*one.opts, *one.secondary_opts)) if one.param_type_name == "option" else one.name
-        limits = [f"{sign} {limit}" for sign, limit in ((">=", one.min), ("<=", one.max)) if limit is not None]
-        said = ("needed", one.required), ("many", one.multiple or one.nargs != 1), ("hidden", one.hidden)
+    for option in command.params:
+        names = "/".join((*option.opts, *option.secondary_opts)) if option.param_type_name == "option" else option.name
+        limits = [f"{sign} {limit}" for sign, limit in ((">=", option.min), ("<=", option.max)) if limit is not None]
+        said = (
+            ("needed", option.required),
+            ("many", option.multiple or option.nargs != 1),
+            ("hidden", option.hidden),
+        )
         words = ", ".join((*limits, *(word for word, is_so in said if is_so)))
-        yield f"{path} {names}: {words}{' = ' if words else '= '}{one.default}".rstrip()
+        yield f"{path} {names}: {words}{' = ' if words else '= '}{option.default}".rstrip()
     for name, below in sorted(getattr(command, "commands", {}).items()):
         yield from _options(below, f"{path} {name}")
 

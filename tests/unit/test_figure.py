@@ -31,7 +31,10 @@ GOOD = Landing(joint="left_toe", drop_m=0.1, speed_m_s=None, held_share=0.5)
 
 
 def test_what_a_figure_does_not_say_is_told_by_its_field_and_its_limits() -> None:
-    assert [(one.name, one.words, one.unit, one.better, one.kind, one.is_nullable) for one in FIGURES.values()] == [
+    assert [
+        (figure.name, figure.words, figure.unit, figure.better, figure.kind, figure.is_nullable)
+        for figure in FIGURES.values()
+    ] == [
         ("joint", "joint", "", "", "str", False),
         ("drop_m", "drop", "m", "smaller", "float", False),
         ("speed_m_s", "speed", "m/s", "smaller", "float", True),

@@ -123,8 +123,8 @@ def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> Non
     some = items(takes=["a"], seconds=24, fitted=0.1, lifting=0.2)
     gaps = np.where(np.arange(24) % 2, np.nan, some.values["lifting"])
     sparse = replace(some, values={**some.values, "lifting": gaps})
-    for one in (sparse, Items.joined([sparse])):
-        verdict = verdict_on(one)
+    for given in (sparse, Items.joined([sparse])):
+        verdict = verdict_on(given)
         assert (verdict.level, verdict.count) == (Level.PASS, 12)
 
 
@@ -137,7 +137,7 @@ def test_only_items_that_the_method_and_all_baselines_have_are_compared() -> Non
         (items(takes=["a"], seconds=12, fitted=np.inf, lifting=0.2), "fitted draws has no finite figure"),
         (Items(), "no data was held out for it"),
         (
-            Items.joined([items(takes=["a"], seconds=12, **{one: 0.1}) for one in ("fitted", "lifting")]),
+            Items.joined([items(takes=["a"], seconds=12, **{method: 0.1}) for method in ("fitted", "lifting")]),
             "no images have figures for both fitted draws and every baseline",
         ),
     ],

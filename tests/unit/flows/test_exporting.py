@@ -165,8 +165,8 @@ def test_a_standing_rest_pose_keeps_positions(taken: tuple[Store, ArtifactRef, l
         np.testing.assert_allclose(own.world()[0], tee.world()[0], atol=1e-6)
         made = dict(np.load(tmp_path / "tee" / f"{name}.npz"))
         assert (str(made["rest_pose"]), float(made["bvh_metres_per_unit"])) == ("standing", 1.0)
-        wrist, shoulder = (str(made["body22_joint"][BODY22.index(f"left_{one}")]) for one in ("wrist", "shoulder"))
-        arm = np.subtract(*(tee.rest_positions_m()[tee.skeleton.index(one)] for one in (wrist, shoulder)))
+        wrist, shoulder = (str(made["body22_joint"][BODY22.index(f"left_{joint}")]) for joint in ("wrist", "shoulder"))
+        arm = np.subtract(*(tee.rest_positions_m()[tee.skeleton.index(joint)] for joint in (wrist, shoulder)))
         assert arm[0] > 0.3
         np.testing.assert_allclose(arm[1:], 0.0, atol=1e-5)
     said = (tmp_path / "tee" / "UNITS.txt").read_text()
@@ -185,11 +185,13 @@ def test_variants_can_have_the_rate_of_the_source(
     same = variants_of(store, fast, "B-uniform-0.90", 0.9)
     export_reference(store, same, "bvh", tmp_path / "study")
     export_reference(store, same, "bvh", tmp_path / "source", rate="source")
-    own, doubled = (read_bvh((tmp_path / one / "mix_B-0.90.B.bvh").read_bytes()) for one in ("study", "source"))
+    own, doubled = (read_bvh((tmp_path / rate / "mix_B-0.90.B.bvh").read_bytes()) for rate in ("study", "source"))
     assert (own.num_frames, doubled.num_frames) == (12, 23)
     assert "mix_B-0.90.B: 23 frames at 60 Hz, one unit" in (tmp_path / "source" / "UNITS.txt").read_text()
     assert "12 frames at 30 Hz (the source: 60 Hz)" in (tmp_path / "study" / "UNITS.txt").read_text()
-    both = [one.to_motion(metres_per_unit=0.01, rate_hz=hz, up_axis="y") for one, hz in ((own, 30.0), (doubled, 60.0))]
+    both = [
+        file.to_motion(metres_per_unit=0.01, rate_hz=hz, up_axis="y") for file, hz in ((own, 30.0), (doubled, 60.0))
+    ]
     np.testing.assert_allclose(both[1].world()[0][::2], both[0].world()[0], atol=1e-5)
     with pytest.raises(InputError, match="the rate can be chosen for files of motion of poses and variants"):
         export_reference(store, same, "npz", tmp_path / "no", rate="source")
@@ -206,7 +208,7 @@ def test_a_motion_leaves_as_the_best_method_made_it_and_by_all_where_that_is_ask
     assert "method: fit_clean" in (tmp_path / "best" / "UNITS.txt").read_text()
     export_reference(store, f"motions@{ref.key}", "bvh", tmp_path / "all", all_methods=True)
     assert sorted(path.name for path in (tmp_path / "all").glob("*.bvh")) == [
-        f"walk_{one}.A.bvh" for one in ("fit", "fit_clean", "nearest-baseline", "viterbi")
+        f"walk_{method}.A.bvh" for method in ("fit", "fit_clean", "nearest-baseline", "viterbi")
     ]
 
 

@@ -121,10 +121,10 @@ def test_a_damaged_record_of_a_run_hinders_neither_gc_nor_new_datasets(store: St
 
 
 def test_what_a_dataset_of_an_older_schema_names_stays(store: Store) -> None:
-    going = {one.place for one in find_garbage(store, NOW).artifacts.going}
+    going = {artifact.place for artifact in find_garbage(store, NOW).artifacts.going}
     list_as_of_schema_1(store.root / "datasets" / "first@1")
     found = find_garbage(store, NOW)
-    assert ({one.place for one in found.artifacts.going}, found.num_datasets) == (going, 1)
+    assert ({artifact.place for artifact in found.artifacts.going}, found.num_datasets) == (going, 1)
 
 
 def test_a_run_of_some_stages_does_not_push_out_the_last_one_of_the_others(store: Store, study: Path) -> None:

@@ -81,8 +81,8 @@ def test_what_was_built_once_tells_what_it_takes_from_nothing(tmp_path: Path) ->
     work = planned_work(plan, TOYS, Store(new), Store(built))
     assert work.num_shards == work.num_measured == 14
     assert not work.unknown
-    assert work.num_bytes == sum(one.num_bytes for one in Store(built).artifacts())
-    took = [one.timings for one in Store(built).artifacts()]
+    assert work.num_bytes == sum(manifest.num_bytes for manifest in Store(built).artifacts())
+    took = [manifest.timings for manifest in Store(built).artifacts()]
     assert sum(job.seconds for job in work.jobs) == pytest.approx(sum(each["shard_s"] for each in took), rel=1e-6)
     assert work.processor_s == pytest.approx(sum(each["processor_s"] for each in took), rel=1e-6)
     long = Work([job._replace(seconds=float(job.is_shard)) for job in work.jobs])

@@ -77,7 +77,7 @@ class Workers(HereClient):
     def next_call(self) -> Call | None:
         """Return the call of the highest priority whose arguments are there; None where there is none."""
         waiting = sorted(self.waiting.get() for _ in range(self.waiting.qsize()))
-        ready = [one for one in waiting if all(part.done() for part in one.arguments if isinstance(part, Future))]
+        ready = [call for call in waiting if all(part.done() for part in call.arguments if isinstance(part, Future))]
         for call in waiting:
             if call not in ready[:1]:
                 self.waiting.put(call)
@@ -85,8 +85,8 @@ class Workers(HereClient):
 
     def _make(self, call: Call) -> Any:
         _, shard, _, *before = call.arguments
-        for one in before:
-            one.result()
+        for future in before:
+            future.result()
         self.started.append(name_of(shard))
         if name_of(shard) in self.fail:
             raise ShardError(f"stage {shard.stage}, {shard.partition}, shard {shard.name}", "Error", "broken")
@@ -188,7 +188,7 @@ def test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_th
         with pytest.raises(ShardError, match="broken") as caught:
             run_toys(study, store, pool=pool)
         tried = {f"stage {n.split()[0]}, {n.split()[1]}, shard {n.split()[2]}" for n in fail & set(pool.started)}
-        assert {caught.value.where, *(one.where for one in caught.value.others)} == tried
+        assert {caught.value.where, *(error.where for error in caught.value.others)} == tried
         assert names(store) == {name: everything[name] for name in possible}
         assert sorted(pool.started) == sorted(possible | (fail & set(pool.started))), "nothing is tried twice"
         latest = read_latest(Store(store), "toy")
@@ -431,7 +431,7 @@ def test_a_jumping_clock_changes_no_result(undisturbed: Path, tmp_path: Path, mo
     run_toys(study, store)
     assert digests(store) == digests(undisturbed)
     assert plan_toys(study, store).is_fresh
-    years = {one.created_at[:4] for one in Store(store).artifacts()}
+    years = {manifest.created_at[:4] for manifest in Store(store).artifacts()}
     assert len(years) > 1, "the clock did jump"
 
 
@@ -497,7 +497,10 @@ def test_how_far_a_run_is_counts_every_shard_and_what_is_left_shrinks_to_nothing
         assert all(progress.running for progress in under_way)
         assert (last.num_shards, last.running, last.left_s) == (len(EVERYBODY), (), 0.0)
     assert not first.kept[0].is_all, "nothing is known of what was never built"
-    assert all(one.is_all and one.num_shards == len(EVERYBODY) and one.left_s > 0 for one in second.kept[:-1])
+    assert all(
+        progress.is_all and progress.num_shards == len(EVERYBODY) and progress.left_s > 0
+        for progress in second.kept[:-1]
+    )
 
 
 def test_what_is_left_is_told_by_what_ended_and_by_what_a_stage_had_that_cannot_be_planned_yet(tmp_path: Path) -> None:

@@ -122,8 +122,8 @@ def test_half_a_file_is_waited_for(video: Path, tmp_path: Path) -> None:
         lambda: (tmp_path / STOP_NAME).touch(),
     ]
     found = read_while(tmp_path, steps)
-    assert [one.number for one in found] == [0, 1, 2]
-    assert not any(one.problem for one in found)
+    assert [file.number for file in found] == [0, 1, 2]
+    assert not any(file.problem for file in found)
     assert steps == []
 
 
@@ -135,7 +135,7 @@ def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(
         lambda: (tmp_path / "film_8.json").write_bytes(data[2]),
     ]
     found = read_while(tmp_path, steps, idle_s=35.0)
-    assert [(one.number, one.problem != "") for one in found] == [(7, True), (9, False)]
+    assert [(file.number, file.problem != "") for file in found] == [(7, True), (9, False)]
     assert "JSON" in found[0].problem
 
 
@@ -146,7 +146,7 @@ def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_p
         assert is_stopped()
         (tmp_path / "film_3.json").write_bytes(list_frames(video)[0][1].read_bytes())
         found = list(follow_folder(tmp_path, idle_s=1e9, is_stopped=is_stopped))
-        assert [one.number for one in found] == [3]
+        assert [file.number for file in found] == [3]
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 

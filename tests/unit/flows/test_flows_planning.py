@@ -121,7 +121,7 @@ def test_results_of_lost_inputs_are_computed_again_even_if_equal_ones_are_there(
     run_toys(study, store, "grow.licence=CC-BY-4.0")
     last = read_latest(Store(store), "toy")
     assert last is not None
-    assert {one.licence for one in source_credits(Store(store), *last.refs("judge"))} == {"CC-BY-4.0"}
+    assert {credit.licence for credit in source_credits(Store(store), *last.refs("judge"))} == {"CC-BY-4.0"}
     assert digests(store) == before
     assert plan_toys(study, store, "grow.licence=CC-BY-4.0").is_fresh
 

@@ -71,7 +71,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     def with_other_lens(*told: Any, **more: Any) -> SceneEstimate:
         """Find a longer lens than was assumed, and everybody farther away."""
         found = estimate_scene(*told, **more)
-        factors = tuple(zoom * one for one in found.factors)
+        factors = tuple(zoom * factor for factor in found.factors)
         return replace(found, lens_factor=zoom * found.lens_factor, factors=factors)
 
     monkeypatch.setattr(people, "estimate_scene", with_other_lens)
@@ -345,8 +345,8 @@ def test_people_of_known_stature_come_out_that_tall() -> None:
     people = [reconstruction(walk(30, seed=1), person_id=name) for name in (0, 1)]
 
     def heights(found: Sequence[ReconstructedTrack]) -> list[float]:
-        lengths = [bone_lengths(OP14, one.positions_m) for one in found]
-        return [float(np.median(body_height_m(OP14, one))) for one in lengths]
+        lengths = [bone_lengths(OP14, track.positions_m) for track in found]
+        return [float(np.median(body_height_m(OP14, length))) for length in lengths]
 
     assert heights(sized_by_stature(people, {0: 1.9, 1: 1.5})) == pytest.approx([1.9, 1.5])
     assert heights(sized_by_stature(people, {1: 1.5})) == pytest.approx([1.5, 1.5])

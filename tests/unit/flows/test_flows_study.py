@@ -253,7 +253,7 @@ def test_the_demo_holds_out_enough_short_takes_to_be_judged_over_takes() -> None
     study, _ = load_study("duets", load_graph(), environment={})
     ingest = study.parameters["ingest"]
     assert isinstance(ingest, IngestParameters)
-    takes = {one.take_id: one.duration_s for one in ingest.resolved_duets()}
+    takes = {duet.take_id: duet.duration_s for duet in ingest.resolved_duets()}
     held_out = [takes[name] for name in ingest.held_out]
     assert len(held_out) >= FEWEST_UNITS
     assert sum(held_out) >= FEWEST_BLOCKS

@@ -40,7 +40,7 @@ class Server:
         self.made.append(("queue", work_pool_name, name, concurrency_limit))
 
     def read_automations_by_name(self, name: str) -> list[Any]:
-        return [one for one in self.automations if one.name == name]
+        return [automation for automation in self.automations if automation.name == name]
 
     def update_automation(self, number: int, automation: Any) -> None:
         self.made.append(("updated", number, automation.name))
@@ -81,7 +81,7 @@ def test_a_store_has_one_queue_that_is_made_once(monkeypatch: pytest.MonkeyPatch
     assert (made.name, made.work_pool_name) == ("duets", "own")
     assert made.parameters == {"study": "duets.toml", "store": "/data/one"}
     assert made.description == "Brings duets.toml up to date in /data/one"
-    assert [one.schedule.interval for one in made.schedules] == [timedelta(hours=1)]
+    assert [timed.schedule.interval for timed in made.schedules] == [timedelta(hours=1)]
     assert made.concurrency_limit == 1
     assert made.concurrency_options.collision_strategy.value == "CANCEL_NEW"
     assert made.job_variables["env"] == {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30", "DO_NOT_TRACK": "1"}
@@ -89,10 +89,10 @@ def test_a_store_has_one_queue_that_is_made_once(monkeypatch: pytest.MonkeyPatch
     known = Server(("own",), (("own", queue),), there)
     again = deploy(known, "/data/one", cron="0 2 * * *")
     assert known.made == [("updated", 7, ZOMBIES)]
-    assert [one.schedule.cron for one in again.schedules] == ["0 2 * * *"]
+    assert [timed.schedule.cron for timed in again.schedules] == ["0 2 * * *"]
     other = Server(("own",), (("own", queue),))
     assert deploy(other, "/data/two").work_queue_name != queue
-    assert [one[0] for one in other.made] == ["queue", "automation"]
+    assert [call[0] for call in other.made] == ["queue", "automation"]
 
 
 def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:
@@ -103,7 +103,7 @@ def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:
     assert trigger.after == {"prefect.flow-run.heartbeat"}
     ends = {f"prefect.flow-run.{end}" for end in ("Completed", "Failed", "Cancelled", "Crashed")}
     assert trigger.expect == {"prefect.flow-run.heartbeat"} | ends
-    names = [one.root.get("prefect.resource.name") for one in trigger.match_related]
+    names = [resource.root.get("prefect.resource.name") for resource in trigger.match_related]
     assert names == [dataset.name, None], "runs of other flows are not ours"
     (action,) = zombies().actions
     assert action.state.value == "CRASHED"

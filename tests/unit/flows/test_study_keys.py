@@ -49,7 +49,7 @@ def test_keys_of_lists_and_of_named_tables_have_the_path_that_an_override_takes(
 def test_keys_that_studies_and_documents_set_in_commands_are_keys() -> None:
     pages = [*(ROOT / "flows/studies").glob("*.toml"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
     told = {key for page in pages for key in re.findall(r"--set '?([\w.]+)=", page.read_text(encoding="utf-8"))}
-    same = {f"{name[:-1]}{one}" for name in KEYS if name.endswith(".*") for one in KEYS[name].meaning[15:].split(", ")}
+    same = {f"{name[:-1]}{key}" for name in KEYS if name.endswith(".*") for key in KEYS[name].meaning[15:].split(", ")}
     paths = [re.compile(re.escape(key).replace("NAME", r"\w+").replace(r"\.N", r"\.\d+")) for key in {*KEYS, *same}]
     sources = r"ingest\.(annotations|videos)\.N\."  # whose keys `reconstruct` and `annotate` take as they are
     paths += [re.compile(re.sub(sources, "", key)) for key in {*KEYS, *same} if not key.endswith("*")]

@@ -138,7 +138,7 @@ def test_what_an_older_schema_wrote_is_no_damage_and_its_release_is_named(store:
     with pytest.raises(OlderSchema, match=r"written under schema version 0, .* pasdedeux 0\.0\.9 reads it"):
         open_table("scores:released@1", store)
     kept = find_unneeded(store, [(ref.stage, ref.key)], datetime.max.replace(tzinfo=UTC)).kept
-    assert {one.place[0] for one in kept} == {"ingest", "evaluation"}
+    assert {artifact.place[0] for artifact in kept} == {"ingest", "evaluation"}
 
 
 def test_a_dataset_of_other_columns_names_the_release_that_reads_them(store: Store) -> None:
@@ -201,7 +201,7 @@ def edited(values: dict[str, Any], name: str) -> Any:
     if not value and name in _ADDED:
         return _ADDED[name]
     if isinstance(value, dict):
-        return {key: edited(value, key) if at == 0 else one for at, (key, one) in enumerate(value.items())}
+        return {key: edited(value, key) if at == 0 else part for at, (key, part) in enumerate(value.items())}
     if isinstance(value, list):
         return value[1:]
     return value + 1 if isinstance(value, int | float) else f"{value}x"

@@ -53,9 +53,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, StageInputs]
     store, takes = duet_store(tmp_path_factory.mktemp("curated") / "store")
     parameters = AugmentationParameters(scales=(0.8, 0.95, 1.05, 1.2), persons=("A",))
     inputs = StageInputs({"poses": takes, "takes": takes}, seed=1)
-    variants = [store.manifest(solve(one, store)) for one in plan_variants(inputs, parameters)]
+    variants = [store.manifest(solve(shard, store)) for shard in plan_variants(inputs, parameters)]
     records = {"ingest": takes, "augmentation": variants}
-    run = {stage: [ShardRecord.of(one, store) for one in made] for stage, made in records.items()}
+    run = {stage: [ShardRecord.of(manifest, store) for manifest in made] for stage, made in records.items()}
     record_latest(store, "short", "20260101T000000-short", run)
     return store, StageInputs({**inputs.manifests, "variants": variants}, seed=1)
 

@@ -55,10 +55,10 @@ def test_a_part_of_the_graph_reads_only_what_its_own_stages_write() -> None:
 
 def test_the_stages_of_the_program_form_a_graph() -> None:
     graph = load_graph()
-    for one in graph.stages:
-        assert one.meaning, f"stage {one.name} says nothing about itself"
-        for name in graph.upstream[one.name]:
-            assert graph.names.index(name) < graph.names.index(one.name)
+    for stage in graph.stages:
+        assert stage.meaning, f"stage {stage.name} says nothing about itself"
+        for name in graph.upstream[stage.name]:
+            assert graph.names.index(name) < graph.names.index(stage.name)
 
 
 @pytest.mark.parametrize(

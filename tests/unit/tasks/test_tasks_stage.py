@@ -48,8 +48,8 @@ def test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_r
         (1, "ab"),
         (1, "b", "a"),
     ]
-    drawn = [stream(*one).random(4) for one in labels]
+    drawn = [stream(*label).random(4) for label in labels]
     assert len({tuple(values) for values in drawn}) == len(labels)
-    for values, one in zip(drawn, labels, strict=True):
-        np.testing.assert_array_equal(stream(*one).random(4), values)
+    for values, label in zip(drawn, labels, strict=True):
+        np.testing.assert_array_equal(stream(*label).random(4), values)
     assert stream(3, "chains", 1).integers(10**9) == 546688386, "in every process and on every machine"

@@ -83,7 +83,7 @@ def test_a_page_is_answered_while_the_viewer_is_busy_and_goes_to_its_moment_then
 
 
 def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) -> None:
-    (take,) = (one for one in store.artifacts("ingest") if "poses" in one.tables)
+    (take,) = (manifest for manifest in store.artifacts("ingest") if "poses" in manifest.tables)
     rows = random_columns("take_quality", 3) | {"take_id": ["waltz"] * 3, "verdict": ["warn", "fail", "pass"]}
     judged = put(store, "checks", take.partition, {"take_quality": rows}, {})
     shelf = Shelf(store, [take.ref], [judged.ref])
@@ -132,10 +132,12 @@ class Broken:
 def callbacks_of(viewer: Viewer) -> list[Callable[[Any], object]]:
     """Return everything that viser calls for this viewer, of widgets, keys, handles in the room, and visitors."""
     gui, scene = viewer.server.gui, viewer.server.scene
-    found = [one for handle in gui._gui_input_handle_from_uuid.values() for one in handle._impl.update_cb]
-    found += [one for command in gui._command_handle_from_uuid.values() for one in command._impl.trigger_cb]
+    found = [callback for handle in gui._gui_input_handle_from_uuid.values() for callback in handle._impl.update_cb]
+    found += [callback for command in gui._command_handle_from_uuid.values() for callback in command._impl.trigger_cb]
     found += [
-        one for handle in scene._handle_from_transform_controls_name.values() for one in handle._impl_aux.update_cb
+        callback
+        for handle in scene._handle_from_transform_controls_name.values()
+        for callback in handle._impl_aux.update_cb
     ]
     return [*found, *viewer.server._client_connect_cb]
 
@@ -339,7 +341,7 @@ def test_pictures_and_clips_are_read_back_by_opencv() -> None:
 def test_a_pixel_is_found_again_where_its_panel_shows_it(size_px: tuple[int, int]) -> None:
     panel = PicturePanel.of(Flat(PAIR17, np.zeros((2, 17, 2)), size_px, "a"), (640, 480))
     points = np.random.default_rng(3).uniform(0.0, size_px, (20, 2))
-    np.testing.assert_allclose([panel.point(panel.place(one)) for one in points], points, atol=1e-9)
+    np.testing.assert_allclose([panel.point(panel.place(point)) for point in points], points, atol=1e-9)
     np.testing.assert_array_equal(panel.point(np.array([-50.0, 9999.0])), [0.0, size_px[1]])
 
 
@@ -364,7 +366,7 @@ def test_the_nearest_joint_follows_the_pointer_until_it_is_let_go(viewer: Viewer
     moves = [Pointer("down", 117 / 640, 120 / 480), Pointer("move", 300 / 640, 220 / 480)]
     moves += [Pointer("up", 320 / 640, 220 / 480), Pointer("move", 0.9, 0.9)]
     heard = dragged(viewer, points, *moves)
-    assert [(one.person, one.joint, one.is_last) for one in heard] == [(1, 9, False), (1, 9, False), (1, 9, True)]
+    assert [(drag.person, drag.joint, drag.is_last) for drag in heard] == [(1, 9, False), (1, 9, False), (1, 9, True)]
     np.testing.assert_allclose(heard[-1].point_px, [320.0, 200.0])
 
 
@@ -393,7 +395,7 @@ def test_a_press_on_a_picture_of_what_was_shown_before_moves_nothing(viewer: Vie
 
 def test_a_click_far_from_every_joint_places_the_one_that_is_chosen(viewer: Viewer) -> None:
     heard = dragged(viewer, np.full((2, 17, 2), np.nan), Pointer("down", 0.5, 0.5), Pointer("up", 0.5, 0.5))
-    assert [(one.person, one.joint) for one in heard] == [(1, 3), (1, 3)]
+    assert [(drag.person, drag.joint) for drag in heard] == [(1, 3), (1, 3)]
     np.testing.assert_allclose(heard[-1].point_px, [320.0, 220.0])
 
 

@@ -149,7 +149,7 @@ def test_sliders_have_the_scales_that_were_built_and_show_the_nearest_variant(vi
     show(viewer, "none")
     viewer.seek(2)
     first, second = viewer.scales.sliders
-    assert [(one.label, one.min, one.max, one.value) for one in (first, second)] == [
+    assert [(slider.label, slider.min, slider.max, slider.value) for slider in (first, second)] == [
         ("person A", pytest.approx(0.8), pytest.approx(1.2), 1.0),
         ("person B", pytest.approx(0.85), 1.0, 1.0),
     ]

@@ -163,21 +163,19 @@ def test_status_names_studies_stages_and_runs(toys: CommandLine) -> None:
     assert answer["runs"][-1]["status"] == "finished"
 
 
-def test_artifacts_of_an_older_program_are_named(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
-    run_toys(write_study(tmp_path), store.root)
-    for path in store.root.glob("*/??/*/manifest.json"):
+def test_artifacts_of_an_older_program_are_named(toy_store: Store, invoke_toys: CommandLine) -> None:
+    for path in toy_store.root.glob("*/??/*/manifest.json"):
         path.write_text(json.dumps(json.loads(path.read_text()) | {"schema_version": 1}))
-    toys = invoke_toys.at(store)
+    toys = invoke_toys.at(toy_store)
     missing = r"missing: 14 artifacts, such as \w+@[0-9a-f]{12}, which is of an older schema"
     assert re.search(missing, toys("status").out)
     assert "of study 'toy' is of an older schema in the store" in toys("show", "models:toy", code=1).err
 
 
-def test_a_dataset_of_an_older_program_blocks_nothing(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
-    run_toys(write_study(tmp_path), store.root)
-    (store.root / "datasets" / "old@1").mkdir(parents=True)
-    (store.root / "datasets" / "old@1" / "dataset.json").write_text('{"schema_version": 1, "artifacts": []}')
-    create = invoke_toys.of("dataset", "create").at(store)
+def test_a_dataset_of_an_older_program_blocks_nothing(toy_store: Store, invoke_toys: CommandLine) -> None:
+    (toy_store.root / "datasets" / "old@1").mkdir(parents=True)
+    (toy_store.root / "datasets" / "old@1" / "dataset.json").write_text('{"schema_version": 1, "artifacts": []}')
+    create = invoke_toys.of("dataset", "create").at(toy_store)
     for name, said in (("new", "new@1 made"), ("new", "new@1 exists already"), ("old", "old@2 made")):
         assert said in create(name, "--study", "toy").out
 
@@ -213,15 +211,14 @@ def test_show_is_cut_and_says_how_to_see_more(store: Store, tmp_path: Path, invo
         assert any(line.startswith(hint) for line in lines)
 
 
-def test_verify_finds_a_changed_byte(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
-    run_toys(write_study(tmp_path), store.root)
-    toys = invoke_toys.at(store)
+def test_verify_finds_a_changed_byte(toy_store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
+    toys = invoke_toys.at(toy_store)
     toys("verify")
-    stray = next(store.root.glob("grow/*/*")) / "stray.txt"
+    stray = next(toy_store.root.glob("grow/*/*")) / "stray.txt"
     stray.write_text("")
     assert "--force" not in toys("verify", code=1).out, "nothing of it is damaged"
     stray.unlink()
-    page = next(store.root.glob("judge/*/*/report.html"))
+    page = next(toy_store.root.glob("judge/*/*/report.html"))
     page.write_bytes(page.read_bytes().replace(b"toys", b"boys"))
     out = toys("verify", code=1).out
     assert "report.html" in out
@@ -357,10 +354,9 @@ def test_a_study_that_ships_runs_or_says_which_files_it_lacks_and_how_they_are_h
         assert re.search(r"`pasdedeux fetch [ \w-]+` brings them|--set ingest.pairs.\w+.folder", said)
 
 
-def test_a_study_without_evaluation_is_summed_up(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
-    run_toys(write_study(tmp_path), store.root)
-    shutil.rmtree(store.root / "judge")
-    out = invoke_toys.at(store)("status").out
+def test_a_study_without_evaluation_is_summed_up(toy_store: Store, invoke_toys: CommandLine) -> None:
+    shutil.rmtree(toy_store.root / "judge")
+    out = invoke_toys.at(toy_store)("status").out
     assert re.search(r" models \(\d+ kB\)", out)
     assert "is it good: not judged" in out
 

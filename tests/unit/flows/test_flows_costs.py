@@ -13,7 +13,7 @@ from flows.costs import DISPATCH_S, OVERHEAD_S, Cost, Job, Work, estimate_cost, 
 from flows.planning import PlanError
 from storage_schema import Store
 from tests.builders.command_line import CommandLine
-from tests.builders.toy_runs import plan_toys, run_toys, write_study
+from tests.builders.toy_runs import plan_toys, write_study
 from tests.builders.toys import TOYS
 
 EACH_S = DISPATCH_S + OVERHEAD_S
@@ -71,18 +71,16 @@ def test_the_clock_keeps_the_bounds_of_any_work_that_lets_no_worker_idle(work: W
         assert total < cost.wall_s <= total + overhead + 1e-9
 
 
-def test_what_was_built_once_tells_what_it_takes_from_nothing(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
-    built, new = tmp_path / "store", tmp_path / "new"
-    run_toys(study, built)
-    plan = plan_toys(study, new)
+def test_what_was_built_once_tells_what_it_takes_from_nothing(toy_store: Store, tmp_path: Path) -> None:
+    new = Store(tmp_path / "new")
+    plan = plan_toys(write_study(tmp_path), new.root)
     with pytest.raises(PlanError, match="what aside, grow, bend, judge takes was not measured"):
-        planned_work(plan, TOYS, Store(new))
-    work = planned_work(plan, TOYS, Store(new), Store(built))
+        planned_work(plan, TOYS, new)
+    work = planned_work(plan, TOYS, new, toy_store)
     assert work.num_shards == work.num_measured == 14
     assert not work.unknown
-    assert work.num_bytes == sum(manifest.num_bytes for manifest in Store(built).artifacts())
-    took = [manifest.timings for manifest in Store(built).artifacts()]
+    assert work.num_bytes == sum(manifest.num_bytes for manifest in toy_store.artifacts())
+    took = [manifest.timings for manifest in toy_store.artifacts()]
     assert sum(job.seconds for job in work.jobs) == pytest.approx(sum(each["shard_s"] for each in took), rel=1e-6)
     assert work.processor_s == pytest.approx(sum(each["processor_s"] for each in took), rel=1e-6)
     long = Work([job._replace(seconds=float(job.is_shard)) for job in work.jobs])
@@ -91,21 +89,19 @@ def test_what_was_built_once_tells_what_it_takes_from_nothing(tmp_path: Path) ->
     assert estimate_cost(long, 100).wall_s == pytest.approx(5, abs=0.2)
 
 
-def test_a_new_shard_takes_what_others_of_its_stage_took(tmp_path: Path) -> None:
-    study = write_study(tmp_path)
-    run_toys(study, tmp_path / "store")
-    more = planned_work(plan_toys(study, tmp_path / "store", "grow.num_segments=4"), TOYS, Store(tmp_path / "store"))
+def test_a_new_shard_takes_what_others_of_its_stage_took(toy_store: Store, tmp_path: Path) -> None:
+    plan = plan_toys(write_study(tmp_path), toy_store.root, "grow.num_segments=4")
+    more = planned_work(plan, TOYS, toy_store)
     assert more.num_shards == 2 + 6 + 1, "of stages that cannot be planned yet as many as last time"
     assert more.num_measured == 7
 
 
-def test_what_only_a_cost_knows_is_refused_without_one(store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
-    study = write_study(tmp_path)
-    said = invoke_toys.refusal("plan", study, "--store", store, "--workers", "9")
-    assert "--measured are for --cost; give that too" in said
-    run_toys(study, store.root)
-    plan = invoke_toys.of("plan", study).at(tmp_path / "new")
-    assert "14 shards" in plan("--measured", store, "--cost", "--workers", "2").out
+def test_what_only_a_cost_knows_is_refused_without_one(
+    toy_store: Store, tmp_path: Path, invoke_toys: CommandLine
+) -> None:
+    plan = invoke_toys.of("plan", write_study(tmp_path)).at(tmp_path / "new")
+    assert "--measured are for --cost; give that too" in plan.refusal("--workers", "9")
+    assert "14 shards" in plan("--measured", toy_store, "--cost", "--workers", "2").out
 
 
 def test_a_cost_is_a_table_and_says_what_it_rests_on() -> None:

@@ -127,11 +127,9 @@ class Deaf(HerePool):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store in which the toy study was built one shard after the other."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    run_toys(write_study(folder), folder / "store")
-    return folder / "store"
+def undisturbed(_toys: Path) -> Path:
+    """A store in which the toy study was built one shard after the other; nothing may be computed in it."""
+    return _toys
 
 
 def names(store: Path) -> dict[str, str]:
@@ -375,9 +373,8 @@ def build(
     return execute(run, begin(run, plan), plan, pool, start)
 
 
-def test_an_early_shard_is_no_work_for_a_stage_that_is_forced(tmp_path: Path) -> None:
-    study, store, forced = write_study(tmp_path), tmp_path / "store", StageSelection(force=("grow",))
-    run_toys(study, store)
+def test_an_early_shard_is_no_work_for_a_stage_that_is_forced(toy_store: Store, tmp_path: Path) -> None:
+    study, store, forced = write_study(tmp_path), toy_store.root, StageSelection(force=("grow",))
     assert computed(run_toys(study, store, selection=forced, pool=ManyWorkers(store, 3))) == {"grow": 6}
     assert plan_toys(study, store).is_fresh
 
@@ -441,9 +438,10 @@ def flip(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_command(tmp_path: Path) -> None:
-    study, store = write_study(tmp_path), tmp_path / "store"
-    run_toys(study, store)
+def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_command(
+    toy_store: Store, tmp_path: Path
+) -> None:
+    study, store = write_study(tmp_path), toy_store.root
     before = digests(store)["bend"]
     flip(next(store.glob("bend/*/*/models.parquet")))
     assert plan_toys(study, store).is_fresh
@@ -454,9 +452,10 @@ def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_co
     assert verify(Store(store)).is_ok
 
 
-def test_what_cannot_be_read_for_a_moment_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    study, store = write_study(tmp_path), tmp_path / "store"
-    run_toys(study, store)
+def test_what_cannot_be_read_for_a_moment_stays(
+    toy_store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, store = write_study(tmp_path), toy_store.root
     there = names(store)
 
     def fail(path: Path, *_: object, **__: object) -> None:
@@ -470,14 +469,14 @@ def test_what_cannot_be_read_for_a_moment_stays(tmp_path: Path, monkeypatch: pyt
     assert run_toys(study, store, "judge.title=again").num_computed == 1
 
 
-def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(store: Store, tmp_path: Path) -> None:
-    study = write_study(tmp_path)
-    run_toys(study, store.root)
-    create_dataset(store, "toys", [manifest.ref for manifest in store.artifacts()])
-    flip(next(store.root.glob("bend/*/*/models.parquet")))
-    assert [(problem.stage, problem.file_name) for problem in verify(store).problems] == [("bend", "models.parquet")]
-    run_toys(study, store.root, selection=StageSelection(force=("bend",)))
-    assert verify(store).is_ok
+def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(toy_store: Store, tmp_path: Path) -> None:
+    create_dataset(toy_store, "toys", [manifest.ref for manifest in toy_store.artifacts()])
+    flip(next(toy_store.root.glob("bend/*/*/models.parquet")))
+    assert [(problem.stage, problem.file_name) for problem in verify(toy_store).problems] == [
+        ("bend", "models.parquet")
+    ]
+    run_toys(write_study(tmp_path), toy_store.root, selection=StageSelection(force=("bend",)))
+    assert verify(toy_store).is_ok
 
 
 def test_how_far_a_run_is_counts_every_shard_and_what_is_left_shrinks_to_nothing(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
-from typing import Any
 
 import dask
 import numpy as np
@@ -29,10 +28,6 @@ from flows.machine import cluster_settings
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from storage_schema.provenance import package_versions
-from tasks import lifting, reconstruction
-from tasks.chains import run as chains_run
-from tasks.evaluation import coverage
-from tasks.rows import selection
 from tasks.shards import (
     ClusterError,
     ClusterPool,
@@ -142,14 +137,6 @@ def fail_with_an_unpicklable_error(shard: Shard, store: Store) -> ArtifactRef:
     raise UnpicklableError
 
 
-def die_once(shard: Shard, store: Store) -> ArtifactRef:
-    marker = store.root / f"died-{shard.name}"
-    if shard.name == "s0" and not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return run_grow(shard, store)
-
-
 def eat_memory(shard: Shard, store: Store) -> ArtifactRef:
     eaten = []
     while shard.partition == "t0":
@@ -197,11 +184,6 @@ def test_all_failures_are_named_and_other_shards_committed(client: Client, tmp_p
 def test_an_error_that_cannot_be_pickled_keeps_its_message(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="holds a lock"):
         compute(fail_with_an_unpicklable_error, shards(), on(client, tmp_path))
-
-
-def test_a_shard_whose_worker_died_once_is_computed_all_the_same(client: Client, tmp_path: Path) -> None:
-    there = compute(die_once, shards(), on(client, tmp_path / "store"))
-    assert len(there) == len(compute(run_grow, shards(), here(tmp_path / "here"))) == len(shards())
 
 
 @pytest.mark.slow
@@ -452,23 +434,6 @@ def test_a_call_that_is_cancelled_on_its_way_says_that_the_scheduler_is_gone() -
             sync(runner.loop, cancelled)
     finally:
         runner.stop()
-
-
-@pytest.mark.parametrize(
-    ("function", "count"),
-    [
-        (coverage._ready_draws, 1),
-        (selection.select_pairs, 1),
-        (lifting._indexed_draws, 1),
-        (lifting._compared, 1),
-        (lifting._searched, 1),
-        (chains_run._evidence, 2),
-        (chains_run._gathered, 1),
-        (reconstruction._read_ready, 1),
-    ],
-)
-def test_what_many_shards_make_ready_alike_is_kept_from_shard_to_shard(function: Any, count: int) -> None:
-    assert function.cache_parameters()["maxsize"] == count
 
 
 def test_of_a_job_that_ends_without_a_worker_the_last_words_are_quoted(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from flows.viewing import table_views
 from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
 from flows.viewing.curves import plot_curves, time_strip
-from flows.viewing.room import _ball, _grid, _pale, _surface, across
+from flows.viewing.room import _ball, _grid, _surface, across
 from flows.viewing.scene import Grid, People
 from flows.viewing.shelf import Shelf
 from flows.viewing.side_picture import PAPER
@@ -126,10 +126,6 @@ def test_rods_and_balls_are_round_and_closed_and_their_triangles_look_outward(si
     a, b, c = rod.vertices[rod.faces].swapaxes(0, 1)
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     assert area == pytest.approx(2 * sides * np.sin(np.pi / sides))
-
-
-def test_colours_are_darker_than_asked_for_but_black_and_white() -> None:
-    assert _pale(np.array([0, 100, 255])).tolist() == [0, int(255 * (100 / 255) ** 1.5), 255]
 
 
 def test_a_rod_reaches_from_one_end_of_its_capsule_to_the_other() -> None:

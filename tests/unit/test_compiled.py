@@ -36,10 +36,10 @@ def one_more(value: float) -> float:
 
 @compiled()
 def total(values: np.ndarray) -> float:
-    found = 0.0
+    total_value = 0.0
     for value in values:
-        found += one_more(twice(value))
-    return found
+        total_value += one_more(twice(value))
+    return total_value
 
 
 @compiled()

@@ -61,8 +61,8 @@ def test_a_figure_that_says_nothing_is_as_the_one_that_it_is_like() -> None:
 def test_a_figure_past_a_limit_is_said_in_its_words(changed: dict[str, float], level: Level, said: str) -> None:
     limits = limits_of(FIGURES)
     assert not list(complaints(GOOD, FIGURES, limits))
-    ((_, found, sentence),) = complaints(replace(GOOD, **changed), FIGURES, limits)
-    assert (found, sentence) == (level, said)
+    ((_, judged, sentence),) = complaints(replace(GOOD, **changed), FIGURES, limits)
+    assert (judged, sentence) == (level, said)
     assert not list(complaints(replace(GOOD, **dict.fromkeys(changed, np.nan)), FIGURES, limits))
 
 

@@ -88,8 +88,8 @@ def test_what_may_be_chance_is_a_warning() -> None:
 
 @pytest.mark.parametrize(("fitted", "level"), [(0.0985, "pass"), (0.0995, "warn"), (0.1005, "warn"), (0.1015, "fail")])
 def test_a_difference_of_less_than_one_percent_does_not_matter_however_certain(fitted: float, level: str) -> None:
-    found = verdict_on(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.1))
-    assert found.level == level
+    verdict = verdict_on(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.1))
+    assert verdict.level == level
     close = verdict_on(items(takes=["a"], seconds=12, fitted=fitted, lifting=0.1, mean_pair=0.101))
     assert close.level == level
     assert close.baseline_name == in_words("lifting")
@@ -100,8 +100,8 @@ def test_a_difference_of_less_than_one_percent_does_not_matter_however_certain(f
     [(1.0, 0.955, Level.WARN, "mean_pair"), (0.9, 0.949, Level.FAIL, "lifting")],
 )
 def test_the_deciding_baseline_is_named(lifting: float, mean_pair: float, level: Level, name: str) -> None:
-    found = verdict_on(items(takes=["a"], seconds=12, fitted=0.95, lifting=lifting, mean_pair=mean_pair))
-    assert (found.level, found.baseline_name) == (level, in_words(name))
+    verdict = verdict_on(items(takes=["a"], seconds=12, fitted=0.95, lifting=lifting, mean_pair=mean_pair))
+    assert (verdict.level, verdict.baseline_name) == (level, in_words(name))
 
 
 def test_larger_may_be_better() -> None:
@@ -180,9 +180,9 @@ def test_a_limit_is_kept_or_broken() -> None:
 
 
 def test_many_verdicts_become_the_worst_with_its_share_and_the_mean_figure() -> None:
-    found = [Verdict(Level.PASS, "", "drift", value, "m", 1.0, "plain", thing="variants") for value in (0.1, 0.2)]
-    found.append(Verdict(Level.WARN, "too far", "drift", 0.9, "m", 4.0, "plain", thing="variants"))
-    verdict = merged(found)
+    verdicts = [Verdict(Level.PASS, "", "drift", value, "m", 1.0, "plain", thing="variants") for value in (0.1, 0.2)]
+    verdicts.append(Verdict(Level.WARN, "too far", "drift", 0.9, "m", 4.0, "plain", thing="variants"))
+    verdict = merged(verdicts)
     assert (verdict.level, verdict.reason, verdict.count, verdict.thing) == ("warn", "1 of 3: too far", 3, "variants")
     assert (verdict.value, verdict.baseline) == pytest.approx((0.4, 2.0))
     assert merge_verdicts([]) is None

@@ -33,8 +33,8 @@ def test_commands_and_scale_have_benchmarks_beside_the_stages() -> None:
 def test_status_is_measured_on_a_store_of_that_many_artifacts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "_NUM_ARTIFACTS", 50)
     monkeypatch.setattr(commands, "measure", lambda name, work, count: (name, count / len(list(work()))))
-    found = commands.BENCHMARKS["status"]()
-    assert found.plain_per_s == 1.0, "the plain form reads one manifest for each artifact"
+    result = commands.BENCHMARKS["status"]()
+    assert result.plain_per_s == 1.0, "the plain form reads one manifest for each artifact"
 
 
 def test_whole_commands_run_only_if_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,6 +88,6 @@ def test_growth_is_measured_as_an_exponent(monkeypatch: pytest.MonkeyPatch) -> N
         spent_s[0] += size**2 / 1e6
 
     monkeypatch.setattr(scale, "time", SimpleNamespace(process_time=lambda: spent_s[0]))
-    found = grown("a square", "rows", (200, 400, 800), lambda size: partial(spend, size))
-    assert "time 2.00, memory " in found.note
-    assert found.ratio == pytest.approx(1 / 4)
+    result = grown("a square", "rows", (200, 400, 800), lambda size: partial(spend, size))
+    assert "time 2.00, memory " in result.note
+    assert result.ratio == pytest.approx(1 / 4)

@@ -31,10 +31,12 @@ def test_a_composed_service_is_limited_watched_and_open_to_this_machine_at_most(
     assert all(port.startswith("127.0.0.1:") for port in service.get("ports", ()))
     assert service["restart"] == "unless-stopped"
     needed = service.get("depends_on", {})
-    for other, said in needed.items():
-        assert said == {"condition": "service_healthy"}
-        assert "healthcheck" in COMPOSE["services"][other]
-        assert set(service["networks"]) & set(COMPOSE["services"][other]["networks"]), f"{name} cannot reach {other}"
+    for neighbour, condition in needed.items():
+        assert condition == {"condition": "service_healthy"}
+        assert "healthcheck" in COMPOSE["services"][neighbour]
+        assert set(service["networks"]) & set(COMPOSE["services"][neighbour]["networks"]), (
+            f"{name} cannot reach {neighbour}"
+        )
     for volume in service.get("volumes", ()):
         source = volume.split(":")[0]
         assert source.startswith("..") or source in COMPOSE["volumes"]

@@ -22,29 +22,29 @@ GIB = 2**30
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return what is found of the machine, which is just enough."""
-    found: dict[str, Any] = {"memory": 2 * GIB, "disk": GIB, "cache": ("/kept", ""), "server": None, "dask": None}
+    facts: dict[str, Any] = {"memory": 2 * GIB, "disk": GIB, "cache": ("/kept", ""), "server": None, "dask": None}
     settings = SimpleNamespace(api=SimpleNamespace(url=None))
 
     def check_server(address: str, note: Any) -> None:
         note("waiting")
-        if found["server"] != address:
+        if facts["server"] != address:
             raise ServerError(f"{address} does not answer")
 
     @contextmanager
     def connect(cluster: Any, *, store_root: str) -> Iterator[Any]:
-        if found["dask"]:
-            raise ClusterError(found["dask"])
+        if facts["dask"]:
+            raise ClusterError(facts["dask"])
         assert cluster.num_workers == 1
         assert Path(store_root).is_dir()
         yield SimpleNamespace(run=lambda _: {"tcp://a": 77})
 
-    monkeypatch.setattr(doctor, "memory_bytes", lambda: found["memory"])
-    monkeypatch.setattr(doctor, "free_bytes", lambda _: found["disk"])
-    monkeypatch.setattr(doctor, "kernel_cache", lambda: found["cache"])
+    monkeypatch.setattr(doctor, "memory_bytes", lambda: facts["memory"])
+    monkeypatch.setattr(doctor, "free_bytes", lambda _: facts["disk"])
+    monkeypatch.setattr(doctor, "kernel_cache", lambda: facts["cache"])
     monkeypatch.setattr(doctor, "check_server", check_server)
     monkeypatch.setattr(doctor, "connect", connect)
     monkeypatch.setattr("prefect.settings.get_current_settings", lambda: settings)
-    return {"found": found, "settings": settings}
+    return {"found": facts, "settings": settings}
 
 
 @pytest.mark.parametrize(
@@ -82,8 +82,8 @@ def test_a_server_that_is_named_must_answer_and_waiting_is_said_aside(
 ) -> None:
     machine["settings"].api.url, machine["found"]["server"] = "http://here/api", answering
     said = invoke("doctor", "--store", tmp_path, code=code)
-    (found,) = (line for line in said.out.splitlines() if "prefect server" in line)
-    assert " ".join(found.split(maxsplit=3)[::3]) == line
+    (finding,) = (line for line in said.out.splitlines() if "prefect server" in line)
+    assert " ".join(finding.split(maxsplit=3)[::3]) == line
     assert said.err == "waiting\n"
 
 

@@ -77,8 +77,8 @@ def test_people_of_a_video_have_the_same_frames_and_one_floor(tmp_path: Path) ->
     columns = joined(
         rows_of(np.arange(3, 11), tall, "walk", 0, "fit"), rows_of(np.arange(6, 11), small, "walk", 1, "fit")
     )
-    found = exported(tmp_path, columns, {"pitch_deg": 0.0})
-    first, second = found["walk.A"], found["walk.B"]
+    motions = exported(tmp_path, columns, {"pitch_deg": 0.0})
+    first, second = motions["walk.A"], motions["walk.B"]
     assert (first.num_frames, second.num_frames) == (8, 8)
     rise = np.mean([tall.body.ankle_height_m, small.body.ankle_height_m])
     for motion, body, at in ((first, tall, 0), (second, small, 3)):
@@ -159,13 +159,15 @@ def test_a_standing_rest_pose_keeps_positions(taken: tuple[Store, ArtifactRef, l
     export_reference(store, small, "bvh", tmp_path / "tee", rest_pose="standing", units="m")
     for letter, metres in (("A", 0.01), ("B", 0.0254 / 0.45)):
         name = f"mix_small.{letter}"
-        own = read_motion(tmp_path / "own" / f"{name}.bvh", metres)
+        plain = read_motion(tmp_path / "own" / f"{name}.bvh", metres)
         tee = read_motion(tmp_path / "tee" / f"{name}.bvh", 1.0)
-        assert own.skeleton == tee.skeleton
-        np.testing.assert_allclose(own.world()[0], tee.world()[0], atol=1e-6)
-        made = dict(np.load(tmp_path / "tee" / f"{name}.npz"))
-        assert (str(made["rest_pose"]), float(made["bvh_metres_per_unit"])) == ("standing", 1.0)
-        wrist, shoulder = (str(made["body22_joint"][BODY22.index(f"left_{joint}")]) for joint in ("wrist", "shoulder"))
+        assert plain.skeleton == tee.skeleton
+        np.testing.assert_allclose(plain.world()[0], tee.world()[0], atol=1e-6)
+        arrays = dict(np.load(tmp_path / "tee" / f"{name}.npz"))
+        assert (str(arrays["rest_pose"]), float(arrays["bvh_metres_per_unit"])) == ("standing", 1.0)
+        wrist, shoulder = (
+            str(arrays["body22_joint"][BODY22.index(f"left_{joint}")]) for joint in ("wrist", "shoulder")
+        )
         arm = np.subtract(*(tee.rest_positions_m()[tee.skeleton.index(joint)] for joint in (wrist, shoulder)))
         assert arm[0] > 0.3
         np.testing.assert_allclose(arm[1:], 0.0, atol=1e-5)
@@ -185,12 +187,12 @@ def test_variants_can_have_the_rate_of_the_source(
     same = variants_of(store, fast, "B-uniform-0.90", 0.9)
     export_reference(store, same, "bvh", tmp_path / "study")
     export_reference(store, same, "bvh", tmp_path / "source", rate="source")
-    own, doubled = (read_bvh((tmp_path / rate / "mix_B-0.90.B.bvh").read_bytes()) for rate in ("study", "source"))
-    assert (own.num_frames, doubled.num_frames) == (12, 23)
+    plain, doubled = (read_bvh((tmp_path / rate / "mix_B-0.90.B.bvh").read_bytes()) for rate in ("study", "source"))
+    assert (plain.num_frames, doubled.num_frames) == (12, 23)
     assert "mix_B-0.90.B: 23 frames at 60 Hz, one unit" in (tmp_path / "source" / "UNITS.txt").read_text()
     assert "12 frames at 30 Hz (the source: 60 Hz)" in (tmp_path / "study" / "UNITS.txt").read_text()
     both = [
-        file.to_motion(metres_per_unit=0.01, rate_hz=hz, up_axis="y") for file, hz in ((own, 30.0), (doubled, 60.0))
+        file.to_motion(metres_per_unit=0.01, rate_hz=hz, up_axis="y") for file, hz in ((plain, 30.0), (doubled, 60.0))
     ]
     np.testing.assert_allclose(both[1].world()[0][::2], both[0].world()[0], atol=1e-5)
     with pytest.raises(InputError, match="the rate can be chosen for files of motion of poses and variants"):
@@ -216,11 +218,11 @@ LIFTED_PLACE = {"sequence_id": "s", "person_id": 0, "partner_id": 1}
 
 
 def test_the_product_of_lifted_pairs_is_the_best_method_of_each_annotation() -> None:
-    made = ["fitted", "mean_pair", "over_time", "fitted", "completed", "fitted", "lifting"]
+    methods = ["fitted", "mean_pair", "over_time", "fitted", "completed", "fitted", "lifting"]
     columns = random_columns("lifted_pairs", 7) | {name: [value] * 7 for name, value in LIFTED_PLACE.items()}
-    columns |= {"method": made, "frame": np.array([0, 0, 0, 1, 1, 2, 3])}
+    columns |= {"method": methods, "frame": np.array([0, 0, 0, 1, 1, 2, 3])}
     rows = TableData(TABLES["lifted_pairs"], encode(TABLES["lifted_pairs"], columns))
-    assert [made[row] for row in product_rows(rows)] == ["over_time", "completed", "fitted", "lifting"]
+    assert [methods[row] for row in product_rows(rows)] == ["over_time", "completed", "fitted", "lifting"]
 
 
 def test_products_are_chosen_over_the_whole_table(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,8 +247,8 @@ def _batches(rows: TableData, size: int) -> Iterator[TableData]:
 
 def test_names_that_join_to_the_same_give_files_of_their_own(tmp_path: Path) -> None:
     names = FileNames(tmp_path)
-    found = [names.path(*parts, suffix=".npz", who="A").name for parts in (("a", "b_c"), ("a_b", "c"))]
-    assert found == ["a_b_c.A.npz", "a_b_c.A.2.npz"]
+    paths = [names.path(*parts, suffix=".npz", who="A").name for parts in (("a", "b_c"), ("a_b", "c"))]
+    assert paths == ["a_b_c.A.npz", "a_b_c.A.2.npz"]
 
 
 def test_names_that_lead_elsewhere_are_refused(taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path) -> None:

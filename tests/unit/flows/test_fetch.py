@@ -105,12 +105,12 @@ def fetch(site: Site, folder: Path, *takes: str) -> list[Fetched]:
 
 
 def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_path: Path) -> None:
-    found = fetch(site, tmp_path)
-    assert [item.path.name for item in found] == ["60.asf", "60_01.amc", "60_02.amc"]
+    files = fetch(site, tmp_path)
+    assert [item.path.name for item in files] == ["60.asf", "60_01.amc", "60_02.amc"]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert "mocap.cs.cmu.edu" in (tmp_path / "CREDITS.txt").read_text()
     noted = dict(reversed(line.split()) for line in (tmp_path / "CMU.sha256").read_text().splitlines())
-    assert noted == {item.path.name: hashlib.sha256(item.path.read_bytes()).hexdigest() for item in found}
+    assert noted == {item.path.name: hashlib.sha256(item.path.read_bytes()).hexdigest() for item in files}
 
 
 def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:

@@ -85,9 +85,9 @@ def test_unused_unpacked_clips_go(store: Store, tmp_path: Path, monkeypatch: pyt
         os.utime(folder, (NOW_S - 8 * 86400,) * 2)
     assert unpacked("a" * 64, lambda writer: None).folder == used
     since = datetime.fromtimestamp(NOW_S - 86400, UTC)
-    found = find_garbage(store, since)
-    assert (list(found.kept_clips), list(found.going_clips)) == ([used], [old])
-    assert found.num_bytes >= found.going_clips[old] == sum(files(old).values()) > rows.nbytes
+    garbage = find_garbage(store, since)
+    assert (list(garbage.kept_clips), list(garbage.going_clips)) == ([used], [old])
+    assert garbage.num_bytes >= garbage.going_clips[old] == sum(files(old).values()) > rows.nbytes
     assert used.is_dir()
     assert old.is_dir(), "nothing goes before it is asked for"
     collect(store, since)
@@ -123,8 +123,8 @@ def test_a_damaged_record_of_a_run_hinders_neither_gc_nor_new_datasets(store: St
 def test_what_a_dataset_of_an_older_schema_names_stays(store: Store) -> None:
     going = {artifact.place for artifact in find_garbage(store, NOW).artifacts.going}
     list_as_of_schema_1(store.root / "datasets" / "first@1")
-    found = find_garbage(store, NOW)
-    assert ({artifact.place for artifact in found.artifacts.going}, found.num_datasets) == (going, 1)
+    garbage = find_garbage(store, NOW)
+    assert ({artifact.place for artifact in garbage.artifacts.going}, garbage.num_datasets) == (going, 1)
 
 
 def test_a_run_of_some_stages_does_not_push_out_the_last_one_of_the_others(store: Store, study: Path) -> None:
@@ -165,9 +165,9 @@ def test_what_runs_and_writers_of_the_last_days_left_stays(store: Store) -> None
     assert find_garbage(store, week).num_bytes == 0
     folder = next(path for path in (store.root / "runs").iterdir() if path.name not in ("latest", ".in_use.lock"))
     folder.rename(folder.with_name("20010101T000000-toy-abcdef"))
-    found = find_garbage(store, week)
-    assert list(found.going_runs) == ["20010101T000000-toy-abcdef"]
-    assert found.artifacts.going == (), "artifacts are young though their run is old"
+    garbage = find_garbage(store, week)
+    assert list(garbage.going_runs) == ["20010101T000000-toy-abcdef"]
+    assert garbage.artifacts.going == (), "artifacts are young though their run is old"
 
 
 def test_a_dry_run_is_the_default_and_counts_what_yes_frees(store: Store, gc: CommandLine) -> None:
@@ -197,12 +197,12 @@ def test_an_unneeded_damaged_manifest_goes_a_damaged_record_stops_gc(store: Stor
 
 
 def test_folders_of_somebody_else_beside_the_artifacts_stay(store: Store) -> None:
-    own = [store.root / place / "own.bvh" for place in ("subjects/60/60_03", "subjects/aa/" + "b" * 64)]
-    for path in own:
+    foreign = [store.root / place / "own.bvh" for place in ("subjects/60/60_03", "subjects/aa/" + "b" * 64)]
+    for path in foreign:
         path.parent.mkdir(parents=True)
         path.write_text("mine")
     collect(store, NOW)
-    assert all(path.is_file() for path in own)
+    assert all(path.is_file() for path in foreign)
 
 
 def test_nothing_goes_where_what_is_kept_does_not_say_what_it_was_computed_from(tmp_path: Path) -> None:

@@ -365,8 +365,8 @@ def test_a_study_without_evaluation_is_summed_up(toy_store: Store, invoke_toys: 
 def test_numbers_get_their_nouns_in_one_place(package: str) -> None:
     by_hand = re.compile(r"""\{'s' \*|else 's'\}|counted\([^()]*, .more.\)|\bproblems"\)""")
     texts = {path.relative_to(ROOT): path.read_text() for path in (ROOT / package).rglob("*.py")}
-    found = {str(path): match[0] for path, text in texts.items() if (match := by_hand.search(text))}
-    assert found == {}, "`counted` does it"
+    by_file = {str(path): match[0] for path, text in texts.items() if (match := by_hand.search(text))}
+    assert by_file == {}, "`counted` does it"
 
 
 def test_only_long_work_says_that_it_goes_on(

@@ -208,8 +208,13 @@ def test_a_run_has_a_server_and_a_flow_without_retries(tmp_path: Path, monkeypat
         PREFECT_CLIENT_MAX_RETRIES: 1,
         PREFECT_API_URL: "http://127.0.0.1:1/api",
     }
-    told = {name: prefect.told[name] for name in ("name", "flow_run_name", "retries", "persist_result")}
-    assert told == {"name": "pasdedeux-dataset", "flow_run_name": outcome.run_id, "retries": 0, "persist_result": False}
+    options = {name: prefect.told[name] for name in ("name", "flow_run_name", "retries", "persist_result")}
+    assert options == {
+        "name": "pasdedeux-dataset",
+        "flow_run_name": outcome.run_id,
+        "retries": 0,
+        "persist_result": False,
+    }
     assert (prefect.told["study"], prefect.told["run_id"]) == ("toy", outcome.run_id)
     assert (prefect.signed_in, prefect.checked, server.has_ended) == (["this machine"], [], False)
     assert prefect.events_client == (PrefectEventsClient, (("reconnection_attempts", 1),))

@@ -19,16 +19,16 @@ from tests.builders.toy_runs import run_toys, write_study
 @pytest.fixture
 def runs(tmp_path: Path) -> list[str]:
     """Two runs of the toy study: of more takes at another scale, from another file of the same name."""
-    found = []
+    run_ids = []
     for number, settings in enumerate(([], ["grow.num_takes=3", "grow.scale=2.0"])):
         (tmp_path / "source.txt").write_text(str(number))
         settings = ["bend.step=1", f"grow.source={tmp_path / 'source.txt'}", *settings]
-        found.append(run_toys(write_study(tmp_path), tmp_path / "store", *settings).run_id)
-    environment = tmp_path / "store" / "runs" / found[0] / "environment.json"
+        run_ids.append(run_toys(write_study(tmp_path), tmp_path / "store", *settings).run_id)
+    environment = tmp_path / "store" / "runs" / run_ids[0] / "environment.json"
     values = json.loads(environment.read_text())
     values["packages"]["numpy"] = "1.0"
     environment.write_text(json.dumps(values))
-    return found
+    return run_ids
 
 
 @pytest.fixture
@@ -38,14 +38,14 @@ def toys(store: Store, invoke_toys: CommandLine) -> CommandLine:
 
 
 def test_two_runs_differ_by_what_was_changed_between_them(runs: list[str], toys: CommandLine) -> None:
-    found = toys("diff", *runs, "--json").json
-    assert found["parameters"] == {"grow.num_takes": {"a": "2", "b": "3"}, "grow.scale": {"a": "1.0", "b": "2.0"}}
-    assert list(found["environment"]) == ["packages.numpy"]
-    assert {name.split()[-1] for name in found["files"]} == {"source.txt"}
-    assert found["artifacts"]["aside"] == {"same": 1, "other": 0, "only_a": 0, "only_b": 0}
-    assert found["artifacts"]["grow"] == {"same": 0, "other": 6, "only_a": 0, "only_b": 3}
-    (score,) = found["scores"]
-    assert (score["metric"], score["at"], found["num_scores"]) == ("total", None, 1)
+    answer = toys("diff", *runs, "--json").json
+    assert answer["parameters"] == {"grow.num_takes": {"a": "2", "b": "3"}, "grow.scale": {"a": "1.0", "b": "2.0"}}
+    assert list(answer["environment"]) == ["packages.numpy"]
+    assert {name.split()[-1] for name in answer["files"]} == {"source.txt"}
+    assert answer["artifacts"]["aside"] == {"same": 1, "other": 0, "only_a": 0, "only_b": 0}
+    assert answer["artifacts"]["grow"] == {"same": 0, "other": 6, "only_a": 0, "only_b": 3}
+    (score,) = answer["scores"]
+    assert (score["metric"], score["at"], answer["num_scores"]) == ("total", None, 1)
     assert score["a"] != score["b"]
 
     out = toys("diff", *runs).out

@@ -141,8 +141,10 @@ def lineage(store: Path) -> dict[str, set[str]]:
     manifests = {m.ref: m for m in Store(store).artifacts()}
 
     def above(ref: ArtifactRef) -> set[str]:
-        one = manifests[ref]
-        return {f"{ref.stage} {one.partition} {one.name}"}.union(*(above(other) for other in one.inputs))
+        manifest = manifests[ref]
+        return {f"{ref.stage} {manifest.partition} {manifest.name}"}.union(
+            *(above(input_ref) for input_ref in manifest.inputs)
+        )
 
     return {f"{ref.stage} {m.partition} {m.name}": above(ref) for ref, m in manifests.items()}
 
@@ -343,23 +345,23 @@ def test_a_stage_whose_task_is_never_begun_is_built_all_the_same(undisturbed: Pa
 
 
 def test_what_was_begun_early_counts_as_computed_and_is_told_once(tmp_path: Path) -> None:
-    told: list[str] = []
+    heard: list[str] = []
 
     class Told(Listener):
         def stage_started(self, plan: StagePlan) -> None:
-            told.append(f"{plan.stage.name} has {len(plan.todo)}")
+            heard.append(f"{plan.stage.name} has {len(plan.todo)}")
 
         def shard_done(self, done: ShardDone) -> None:
-            told.append(name_of(done.shard))
+            heard.append(name_of(done.shard))
 
         def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
-            told.append(f"{plan.stage.name} whole")
+            heard.append(f"{plan.stage.name} whole")
 
     outcome = build(tmp_path, ManyWorkers(tmp_path / "store", num_workers=3), listener=Told())
-    assert sorted(told) == sorted(
+    assert sorted(heard) == sorted(
         [*EVERYBODY, *(f"{n} whole" for n in TOYS.names), "aside has 1", "bend has 6", "grow has 6", "judge has 1"]
     )
-    assert told.index("bend t0 s0") < told.index("bend has 6")
+    assert heard.index("bend t0 s0") < heard.index("bend has 6")
     assert computed(outcome) == {"grow": 6, "bend": 6, "aside": 1, "judge": 1}
 
 
@@ -516,11 +518,11 @@ def test_what_is_left_is_told_by_what_ended_and_by_what_a_stage_had_that_cannot_
         tally.end(ShardDone(shard, ArtifactRef(shard.stage, shard.key, "0" * 64), seconds))
     last_partitions = (("a", 3), ("b", 4))
     waiting = StagePlan(TOYS.stage("bend"), is_selected=True, pending_on=("grow",), last_partitions=last_partitions)
-    found = tally.progress([waiting], 2)
-    assert (found.num_done, found.num_shards) == (4, 4 + 2 + 6)
-    assert (found.left_s, found.is_all) == ((2 * 3.0 + 6 * 10.0) / 2, True)
-    assert found.running == (grow[5], grow[4])
-    assert found.partitions == {("grow", "a"): (4, 5), ("grow", "b"): (0, 1)}
+    progress = tally.progress([waiting], 2)
+    assert (progress.num_done, progress.num_shards) == (4, 4 + 2 + 6)
+    assert (progress.left_s, progress.is_all) == ((2 * 3.0 + 6 * 10.0) / 2, True)
+    assert progress.running == (grow[5], grow[4])
+    assert progress.partitions == {("grow", "a"): (4, 5), ("grow", "b"): (0, 1)}
     assert tally.partitions("grow") == [PartitionCount("a", 5, 2, 2, 6.0), PartitionCount("b", 1)]
 
 

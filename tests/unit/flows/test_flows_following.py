@@ -65,9 +65,9 @@ def test_files_become_lines_while_written(video: Path, store: Store, tmp_path: P
     assert writer.returncode == 0
     _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     for person in (0, 1):
-        own = [line for line in lines if line["person_id"] == person]
-        assert [line["frame"] for line in own] == list(range(FRAMES))
-        steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
+        of_person = [line for line in lines if line["person_id"] == person]
+        assert [line["frame"] for line in of_person] == list(range(FRAMES))
+        steps = np.linalg.norm(np.diff([line["root_m"] for line in of_person], axis=0), axis=-1)
         assert steps.max() < 0.25
     assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
 
@@ -88,9 +88,9 @@ def test_rotations_of_lines_give_the_joints(video: Path, store: Store, tmp_path:
         joints, _ = forward_kinematics(
             skeleton, offsets[line["person_id"]], np.array(line["hips_m"]), np.array(line["local_unitquat"])
         )
-        own = joints[[skeleton.index(HUMANOID_NAMES[name]) for name in SHARED]]
+        by_rotations = joints[[skeleton.index(HUMANOID_NAMES[name]) for name in SHARED]]
         op14 = np.array(line["op14_m"])[[head["op14_names"].index(name) for name in SHARED]]
-        np.testing.assert_allclose(own, op14, atol=2e-6)
+        np.testing.assert_allclose(by_rotations, op14, atol=2e-6)
         stature = body_height_m(OP14, bone_lengths(OP14, np.array(line["op14_m"])))
         assert stature == pytest.approx((1.9, 1.5)[line["person_id"]], abs=1e-5)
         floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])
@@ -121,9 +121,9 @@ def test_half_a_file_is_waited_for(video: Path, tmp_path: Path) -> None:
         lambda: names[2].write_bytes(data[2]),
         lambda: (tmp_path / STOP_NAME).touch(),
     ]
-    found = read_while(tmp_path, steps)
-    assert [file.number for file in found] == [0, 1, 2]
-    assert not any(file.problem for file in found)
+    files = read_while(tmp_path, steps)
+    assert [file.number for file in files] == [0, 1, 2]
+    assert not any(file.problem for file in files)
     assert steps == []
 
 
@@ -134,9 +134,9 @@ def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(
         lambda: (tmp_path / "film_9.json").write_bytes(data[1]),
         lambda: (tmp_path / "film_8.json").write_bytes(data[2]),
     ]
-    found = read_while(tmp_path, steps, idle_s=35.0)
-    assert [(file.number, file.problem != "") for file in found] == [(7, True), (9, False)]
-    assert "JSON" in found[0].problem
+    files = read_while(tmp_path, steps, idle_s=35.0)
+    assert [(file.number, file.problem != "") for file in files] == [(7, True), (9, False)]
+    assert "JSON" in files[0].problem
 
 
 def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_path: Path) -> None:
@@ -145,8 +145,8 @@ def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_p
         signal.raise_signal(signal.SIGINT)
         assert is_stopped()
         (tmp_path / "film_3.json").write_bytes(list_frames(video)[0][1].read_bytes())
-        found = list(follow_folder(tmp_path, idle_s=1e9, is_stopped=is_stopped))
-        assert [file.number for file in found] == [3]
+        files = list(follow_folder(tmp_path, idle_s=1e9, is_stopped=is_stopped))
+        assert [file.number for file in files] == [3]
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 

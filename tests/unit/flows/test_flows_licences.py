@@ -62,8 +62,8 @@ def test_a_part_of_a_run_with_the_same_content_leaves_no_mixture(study: Path, st
     toys("run", study)
     toys("run", study, *STRICTER, "--until", "grow")
     toys("dataset", "create", "mine", "--study", "toy", "--stage", "bend")
-    (made,) = (dataset for dataset in list_datasets(store) if dataset.name == "mine")
-    assert {source.licence for source in made.sources} == {STRICT}
+    (mine,) = (dataset for dataset in list_datasets(store) if dataset.name == "mine")
+    assert {source.licence for source in mine.sources} == {STRICT}
 
 
 def test_a_licence_reaches_results_of_an_equal_older_source(study: Path, toys: CommandLine, tmp_path: Path) -> None:

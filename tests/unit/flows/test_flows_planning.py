@@ -215,8 +215,8 @@ def with_longer_steps(*, fail_at: str = "") -> Graph:
     def grow(shard: Shard, store: Store) -> ArtifactRef:
         if shard.name == fail_at:
             raise InputError("killed")
-        told = shard.options(SegmentParameters)
-        changed = replace(shard, parameters=told.model_copy(update={"scale": 2 * told.scale}))
+        options = shard.options(SegmentParameters)
+        changed = replace(shard, parameters=options.model_copy(update={"scale": 2 * options.scale}))
         vars(changed)["key"] = shard.key
         return run_grow(changed, store)
 

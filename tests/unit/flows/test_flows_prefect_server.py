@@ -119,10 +119,10 @@ def test_a_server_that_starts_is_waited_for_and_that_is_said(monkeypatch: pytest
     with answering(200, 200) as address:
         pass
     said: list[str] = []
-    with answering(200, 200) as other:
+    with answering(200, 200) as started:
         # It starts while it is waited for: the second question reaches one that answers.
         state = prefect_server._state
-        monkeypatch.setattr(prefect_server, "_state", lambda asked: state(other if said else asked))
+        monkeypatch.setattr(prefect_server, "_state", lambda asked: state(started if said else asked))
         monkeypatch.setattr(prefect_server, "_ASK_AGAIN_S", 0.0)
         check_server(address, said.append)
     assert said == [f"Prefect's server at {address} refuses connections, waiting up to 60 s for it to start"]

@@ -40,10 +40,10 @@ def labels(store: Store) -> list[str]:
 @pytest.mark.parametrize("level", ["pass", "not judged", "warn"])
 def test_a_run_that_does_not_fail_becomes_a_version(run: CommandLine, store: Store, level: str) -> None:
     assert "released@1 is published" in run("--set", f"judge.level={level}").out
-    (made,) = list_datasets(store)
-    assert {ref.stage for ref in made.refs} == set(TOYS.names)
-    assert json.loads((made.path / "study.json").read_text())["publish"]["name"] == "released"
-    assert {path.name for path in made.path.iterdir()} == {"dataset.json", "study.json", "environment.json"}
+    (version,) = list_datasets(store)
+    assert {ref.stage for ref in version.refs} == set(TOYS.names)
+    assert json.loads((version.path / "study.json").read_text())["publish"]["name"] == "released"
+    assert {path.name for path in version.path.iterdir()} == {"dataset.json", "study.json", "environment.json"}
 
 
 def test_nothing_new_makes_no_new_version(run: CommandLine, store: Store, tmp_path: Path) -> None:

@@ -70,9 +70,9 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
 ) -> None:
     def with_other_lens(*told: Any, **more: Any) -> SceneEstimate:
         """Find a longer lens than was assumed, and everybody farther away."""
-        found = estimate_scene(*told, **more)
-        factors = tuple(zoom * factor for factor in found.factors)
-        return replace(found, lens_factor=zoom * found.lens_factor, factors=factors)
+        estimate = estimate_scene(*told, **more)
+        factors = tuple(zoom * factor for factor in estimate.factors)
+        return replace(estimate, lens_factor=zoom * estimate.lens_factor, factors=factors)
 
     monkeypatch.setattr(people, "estimate_scene", with_other_lens)
     out = tmp_path / "out"
@@ -81,13 +81,13 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     for person in (0, 1):
         source = read_bvh((out / f"{video.name}_{person}.bvh").read_bytes())
         assert (source.num_frames, source.rate_hz) == (FRAMES, pytest.approx(30.0))
-        made = read_npz((out / f"{video.name}_{person}.npz").read_bytes(), "motion")
+        arrays = read_npz((out / f"{video.name}_{person}.npz").read_bytes(), "motion")
         motion = source.to_motion(metres_per_unit={"cm": 0.01, "m": 1.0}[units], rate_hz=30.0)
         assert motion.skeleton.joint_names[motion.skeleton.root] == "Hips"
-        at = [motion.skeleton.index(name) for name in made["joint_names"]]
-        np.testing.assert_allclose(motion.world()[0][:, at], made["positions_m"], atol=1e-5)
-        assert made["is_seen"].all()
-        assert (float(made["rate_hz"]), int(made["first_frame"])) == (pytest.approx(30.0), 0)
+        at = [motion.skeleton.index(name) for name in arrays["joint_names"]]
+        np.testing.assert_allclose(motion.world()[0][:, at], arrays["positions_m"], atol=1e-5)
+        assert arrays["is_seen"].all()
+        assert (float(arrays["rate_hz"]), int(arrays["first_frame"])) == (pytest.approx(30.0), 0)
     header, *lines, place, look = said.out.splitlines()
     assert header.split()[0] == "file"
     assert re.match(r"place of 0 and 1 +\d+ cm \(\d+ to \d+\) .*(pass|warn|fail)", place)
@@ -110,10 +110,10 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     assert np.median(apart) < 0.05, "the result lies over the 2D poses that it was made from"
     higher = []
     for person, figure in zip((0, 1), scene["panels"][1]["figures"], strict=True):
-        made = read_npz((out / f"{video.name}_{person}.npz").read_bytes(), "motion")
-        there = [list(made["joint_names"]).index(HUMANOID_NAMES[name]) for name in SHARED]
+        arrays = read_npz((out / f"{video.name}_{person}.npz").read_bytes(), "motion")
+        there = [list(arrays["joint_names"]).index(HUMANOID_NAMES[name]) for name in SHARED]
         shown = values[0, [figure["start"] + OP14.index(name) for name in SHARED], 1]
-        higher += (shown - made["positions_m"][0, there, 1]).tolist()
+        higher += (shown - arrays["positions_m"][0, there, 1]).tolist()
     assert np.ptp(higher) < 0.01, "people stand upright on the page, on one floor, however the camera is pitched"
 
 
@@ -264,12 +264,12 @@ def test_a_database_of_other_columns_is_refused(video: Path, store: Store, tmp_p
 def results(video: Path) -> str:
     """Return the video as AlphaPose would list it: names of images, tracks, 17 keypoints."""
     names = KEYPOINT_LAYOUTS["coco17"].keypoint_names
-    own = [LAYOUT.keypoint_names.index(name) for name in names]
+    columns = [LAYOUT.keypoint_names.index(name) for name in names]
     items = []
     for number, path in list_frames(video):
         people = json.loads(path.read_text())["people"]
         for place, person in enumerate(people[::-1] if number % 2 else people):
-            table = np.array(person["pose_keypoints_2d"]).reshape(-1, 3)[own]
+            table = np.array(person["pose_keypoints_2d"]).reshape(-1, 3)[columns]
             items.append({"image_id": f"{number}.jpg", "keypoints": table.reshape(-1).tolist(), "idx": place + 3})
     return json.dumps(items)
 
@@ -368,12 +368,12 @@ def test_a_study_and_the_command_agree(video: Path, store: Store, reconstruct: C
     tables = {"annotations": seen, "projections": list(store.artifacts("projections"))}
     parameters = reconstruction_stage.ReconstructionParameters(sequences="given")
     (shard,) = reconstruction_stage.plan(StageInputs(tables, seed=9), parameters)
-    made = store.manifest(reconstruction_stage.run_shard(shard, store))
+    motions = store.manifest(reconstruction_stage.run_shard(shard, store))
     for person in (0, 1):
         files = [(tmp_path / f"{video.name}_{person}.npz").read_bytes()]
-        files.append(store.attachment(made.ref, f"{video.name}_{person}.npz"))
+        files.append(store.attachment(motions.ref, f"{video.name}_{person}.npz"))
         of_command, of_study = (read_npz(data, "motion")["positions_m"] for data in files)
         np.testing.assert_allclose(of_study, of_command, atol=1e-4)
-        reason = Verdict.from_json(made.facts[PARTS_FACT][f"person {person}"]).reason
+        reason = Verdict.from_json(motions.facts[PARTS_FACT][f"person {person}"]).reason
         assert "stature" not in reason
         assert reason in output.out

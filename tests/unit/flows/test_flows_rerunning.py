@@ -218,9 +218,9 @@ def test_other_bytes_of_a_page_are_rounding_only_after_rounded_tables(built: Sto
     new = artifacts_by_place(titled, latest.refs("judge"))
     aside = {place: manifest for place, manifest in old.artifacts.items() if place[0] != "aside"}
     page = ("judge", "all", "all")
-    found = compare_builds(built, aside, titled, new)
-    assert (found.num_same, list(found.differing), found.beyond) == (12, [page], page)
-    assert [str(difference) for difference in found.differing[page]] == ["report.html: other bytes"]
+    comparison = compare_builds(built, aside, titled, new)
+    assert (comparison.num_same, list(comparison.differing), comparison.beyond) == (12, [page], page)
+    assert [str(difference) for difference in comparison.differing[page]] == ["report.html: other bytes"]
     without = {place: manifest for place, manifest in new.items() if place != ("grow", "t0", "s0")}
     assert compare_builds(built, aside, titled, without).only_one == (("grow", "t0", "s0"),)
 

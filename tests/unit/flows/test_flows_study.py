@@ -61,8 +61,10 @@ def test_settings_win_over_environment_over_file_over_defaults(tmp_path: Path) -
     assert grow(load(write(tmp_path, "[grow]\nnum_takes = 5\n")))["num_segments"] == 3
     path = write(tmp_path, "[grow]\nnum_takes = 5\nnum_segments = 5\nscale = 5.0\n")
     environment = {"PASDEDEUX_SET__GROW__NUM_SEGMENTS": "6", "PASDEDEUX_SET__GROW__SCALE": "6.0"}
-    found = grow(load(path, "grow.scale=7.0", "grow.scale=7.5", environment=environment))
-    assert (found["num_takes"], found["num_segments"], found["scale"]) == (5, 6, 7.5), "the later of equal settings"
+    section = grow(load(path, "grow.scale=7.0", "grow.scale=7.5", environment=environment))
+    assert (section["num_takes"], section["num_segments"], section["scale"]) == (5, 6, 7.5), (
+        "the later of equal settings"
+    )
 
 
 def test_a_setting_reaches_into_lists_and_takes_text_without_quotes(tmp_path: Path) -> None:
@@ -73,17 +75,17 @@ def test_a_setting_reaches_into_lists_and_takes_text_without_quotes(tmp_path: Pa
 
 
 def test_unknown_keys_are_named_with_the_nearest_known_name(tmp_path: Path) -> None:
-    found = problems(write(tmp_path, "[grow]\nnum_take = 2\n[bent]\nstep = 1\n"))
-    assert any("grow.num_take: unknown; did you mean num_takes?" in p for p in found)
-    assert any("bent: unknown; did you mean bend?" in p for p in found)
+    sentences = problems(write(tmp_path, "[grow]\nnum_take = 2\n[bent]\nstep = 1\n"))
+    assert any("grow.num_take: unknown; did you mean num_takes?" in p for p in sentences)
+    assert any("bent: unknown; did you mean bend?" in p for p in sentences)
     assert "did you mean duets?" in problems("duetts")[0]
 
 
 def test_a_sweep_merges_tables_and_replaces_everything_else() -> None:
     base = {"kept": 1, "table": {"x": 1, "in": {"y": 2, "z": 3}}, "list": [1, 2], "none": None, "was": {"x": 1}}
-    own = {"table": {"in": {"y": 4}}, "list": [5], "none": {"x": 6}, "was": 7, "new": {"x": 8}}
+    sweep = {"table": {"in": {"y": 4}}, "list": [5], "none": {"x": 6}, "was": 7, "new": {"x": 8}}
     replaced = {"list": [5], "none": {"x": 6}, "was": 7, "new": {"x": 8}}
-    assert merged(base, own) == {"kept": 1, "table": {"x": 1, "in": {"y": 4, "z": 3}}} | replaced
+    assert merged(base, sweep) == {"kept": 1, "table": {"x": 1, "in": {"y": 4, "z": 3}}} | replaced
     assert base["table"] == {"x": 1, "in": {"y": 2, "z": 3}}, "other sweeps begin with it again"
 
 
@@ -134,20 +136,20 @@ def test_wrong_input_is_one_sentence(tmp_path: Path, text: str | None, setting: 
     path = tmp_path / "mine.toml"
     if text is not None:
         path.write_text(f"{text}\n")
-    (found,) = problems(path, *filter(None, [setting]))
-    assert sentence in found
+    (problem,) = problems(path, *filter(None, [setting]))
+    assert sentence in problem
 
 
 def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:
-    found = problems(write(tmp_path, '[grow]\nnum_takes = 0\nscale = "big"\n'), "nonsense", "judge.nothing=1")
-    assert len(found) == 4
+    sentences = problems(write(tmp_path, '[grow]\nnum_takes = 0\nscale = "big"\n'), "nonsense", "judge.nothing=1")
+    assert len(sentences) == 4
     for words in (
         "grow.num_takes: should be greater than or equal to 1; found 0",
         "grow.scale: should be a valid number, unable to parse string as a number; found 'big'",
         "--set nonsense: expected section.name=value",
         "judge.nothing: unknown; ",
     ):
-        assert any(words in problem for problem in found), found
+        assert any(words in problem for problem in sentences), sentences
 
 
 def test_a_study_may_stop_at_some_stages(tmp_path: Path) -> None:
@@ -228,8 +230,8 @@ def test_paths_are_relative_to_their_file_and_those_of_settings_to_the_current_f
     ],
 )
 def test_an_impossible_extension_is_one_sentence(tmp_path: Path, texts: dict[str, str], sentence: str) -> None:
-    (found,) = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
-    assert sentence in found
+    (problem,) = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
+    assert sentence in problem
 
 
 def test_every_study_that_ships_can_be_run_or_is_extended_by_one_that_can() -> None:

@@ -24,11 +24,11 @@ def test_a_build_gives_signs_of_life_and_sends_no_telemetry(monkeypatch: pytest.
     monkeypatch.setattr(schedules.RunnerDeployment, "apply", lambda self: applied.append(self))
     parameters = {"study": "duets.toml", "store": "/data/one"}
     schedules.put_deployment("duets", parameters, cron="0 2 * * *", every=None, pool="own")
-    (made,) = applied
-    assert (made.name, made.work_pool_name, made.parameters) == ("duets", "own", parameters)
-    assert made.description == "Brings duets.toml up to date in /data/one"
-    assert [timed.schedule.cron for timed in made.schedules] == ["0 2 * * *"]
-    assert made.job_variables["env"] == {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30", "DO_NOT_TRACK": "1"}
+    (deployment,) = applied
+    assert (deployment.name, deployment.work_pool_name, deployment.parameters) == ("duets", "own", parameters)
+    assert deployment.description == "Brings duets.toml up to date in /data/one"
+    assert [timed.schedule.cron for timed in deployment.schedules] == ["0 2 * * *"]
+    assert deployment.job_variables["env"] == {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30", "DO_NOT_TRACK": "1"}
 
 
 def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:
@@ -63,15 +63,15 @@ def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewh
     every: timedelta | None,
 ) -> None:
     checked: list[str] = []
-    made: list[tuple[Any, ...]] = []
+    calls: list[tuple[Any, ...]] = []
 
     def put(name: str, parameters: dict[str, Any], **more: Any) -> str:
-        made.append((name, parameters, more))
+        calls.append((name, parameters, more))
         return "pasdedeux-dataset/toy"
 
     address = "http://prefect.example/api"
-    found = SimpleNamespace(api=SimpleNamespace(url=address))
-    monkeypatch.setattr("prefect.settings.get_current_settings", lambda: found)
+    settings = SimpleNamespace(api=SimpleNamespace(url=address))
+    monkeypatch.setattr("prefect.settings.get_current_settings", lambda: settings)
     monkeypatch.setattr("flows.console.deploy.check_server", lambda asked, note: checked.append(asked))
     monkeypatch.setattr("flows.schedules.put_deployment", put)
     monkeypatch.chdir(tmp_path)
@@ -79,7 +79,7 @@ def test_a_deployment_has_what_the_command_was_given_with_paths_that_hold_elsewh
     options = ("--workers", "2", "--set", "grow.num_takes=1", "--pool", "mine")
     deploy = invoke_toys.of("deploy", study.name, *options).at("built")
     said = deploy(*words).out.splitlines()
-    ((name, parameters, more),) = made
+    ((name, parameters, more),) = calls
     assert (name, checked) == ("toy", [address])
     assert parameters == {
         "study": str(study),

@@ -25,7 +25,7 @@ def test_every_key_says_what_it_means() -> None:
 
 
 def test_a_study_has_few_keys_and_ingest_at_most_92() -> None:
-    leaves = {name for name in KEYS if not any(other.startswith(f"{name}.") for other in KEYS)}
+    leaves = {name for name in KEYS if not any(deeper.startswith(f"{name}.") for deeper in KEYS)}
     assert len(leaves) <= 195
     assert len([name for name in KEYS if name.startswith("ingest.")]) <= 92
 
@@ -37,13 +37,13 @@ def test_keys_that_two_tables_have_from_one_model_are_said_once() -> None:
 
 def test_keys_that_studies_and_documents_set_in_commands_are_keys() -> None:
     pages = [*(ROOT / "flows/studies").glob("*.toml"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
-    told = {key for page in pages for key in re.findall(r"--set '?([\w.]+)=", page.read_text(encoding="utf-8"))}
+    named = {key for page in pages for key in re.findall(r"--set '?([\w.]+)=", page.read_text(encoding="utf-8"))}
     same = {f"{name[:-1]}{key}" for name in KEYS if name.endswith(".*") for key in KEYS[name].meaning[15:].split(", ")}
     paths = [re.compile(re.escape(key).replace("NAME", r"\w+").replace(r"\.N", r"\.\d+")) for key in {*KEYS, *same}]
     sources = r"ingest\.(annotations|videos)\.N\."  # whose keys `reconstruct` and `annotate` take as they are
     paths += [re.compile(re.sub(sources, "", key)) for key in {*KEYS, *same} if not key.endswith("*")]
-    assert len(told) > 10
-    assert sorted(key for key in told if not any(path.fullmatch(key) for path in paths)) == []
+    assert len(named) > 10
+    assert sorted(key for key in named if not any(path.fullmatch(key) for path in paths)) == []
 
 
 def test_only_the_keys_of_one_section_are_told_when_it_is_named() -> None:
@@ -56,8 +56,8 @@ def test_one_value_of_the_prior_reaches_seeds_and_chains(tmp_path: Path) -> None
     file.write_text('[study]\nname = "own"\n[physical_prior]\nalpha = 3.0\n')
     study, _ = load_study(str(file), load_graph(), settings=["physical_prior.max_invalid_angles=5"], environment={})
     for stage in ("seeds", "chains"):
-        told = study.parameters[stage].part(PriorSettings)
-        assert (told.alpha, told.max_invalid_angles) == (3.0, 5)
+        prior = study.parameters[stage].part(PriorSettings)
+        assert (prior.alpha, prior.max_invalid_angles) == (3.0, 5)
         assert "alpha" not in study.resolved()[stage]
     assert study.resolved()["physical_prior"]["alpha"] == 3.0
     with pytest.raises(StudyError, match=r"seeds\.alpha: one value serves every stage: say physical_prior\.alpha"):
@@ -79,7 +79,7 @@ def test_every_key_of_ingest_is_in_an_example_of_the_docs_that_a_study_takes() -
     shared = {"takes.N.persons.N.": "takes.N.", "pairs.NAME.": "takes.N.", "videos.N.": "annotations.N."}
     used |= {f"ingest.{key.removeprefix('ingest.').replace(a, b)}" for key in used for a, b in shared.items()}
     leaves = [name for name in KEYS if name.startswith("ingest.") and not name.endswith("*")]
-    leaves = [name for name in leaves if not any(other.startswith(f"{name}.") for other in KEYS)]
+    leaves = [name for name in leaves if not any(deeper.startswith(f"{name}.") for deeper in KEYS)]
     assert [name for name in leaves if not any(key == name or key.startswith(f"{name}.") for key in used)] == []
 
 

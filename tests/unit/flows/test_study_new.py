@@ -88,29 +88,29 @@ def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> N
 
 def test_what_is_said_of_a_file_has_its_length_and_names_stay_as_they_are_written(tmp_path: Path) -> None:
     (tmp_path / "T\u00e4nzer.bvh").write_text(bvh_text(num_frames=90, rate_hz=60.0))
-    made = new_study(tmp_path / "T\u00e4nzer.bvh")
-    assert 'T\u00e4nzer.bvh"' in made.text
-    assert re.fullmatch(r"found T\u00e4nzer\.bvh: 90 frames \(1\.5 s at 60 Hz\), about 1\.\d\d m tall", made.said[0])
+    written = new_study(tmp_path / "T\u00e4nzer.bvh")
+    assert 'T\u00e4nzer.bvh"' in written.text
+    assert re.fullmatch(r"found T\u00e4nzer\.bvh: 90 frames \(1\.5 s at 60 Hz\), about 1\.\d\d m tall", written.said[0])
     amc = new_study(write_walk(tmp_path))
     assert " s at 120 Hz), about " in amc.said[0], "CMU's of this name has it"
 
 
 @pytest.mark.parametrize("name", ["odd", "odd\nseed = 7 #\x1b"])
 def test_a_unit_that_cannot_be_told_is_left_to_the_user_and_names_stay_in_notes(tmp_path: Path, name: str) -> None:
-    made = new_study(write_odd(tmp_path / f"{name}.bvh"))
-    assert "# metres_per_unit = 0.1" in made.text
-    assert "A GUESS - SET IT" in made.text
-    assert "\nseed = 7" not in made.text
-    assert made.ingest.takes[0].persons[0].metres_per_unit is None
+    written = new_study(write_odd(tmp_path / f"{name}.bvh"))
+    assert "# metres_per_unit = 0.1" in written.text
+    assert "A GUESS - SET IT" in written.text
+    assert "\nseed = 7" not in written.text
+    assert written.ingest.takes[0].persons[0].metres_per_unit is None
 
 
 def test_the_npz_beside_an_exported_bvh_states_its_unit(tmp_path: Path) -> None:
     path = write_odd(tmp_path / "odd.bvh")
     np.savez(path.with_suffix(".npz"), bvh_metres_per_unit=1.0 / 7.0)
-    made = new_study(path)
-    assert "# stated by the npz beside it: sure" in made.text
-    assert re.search(r"about 1\.7\d m tall", made.said[0])
-    assert made.ingest.takes[0].persons[0].metres_per_unit == pytest.approx(1.0 / 7.0, rel=1e-9)
+    written = new_study(path)
+    assert "# stated by the npz beside it: sure" in written.text
+    assert re.search(r"about 1\.7\d m tall", written.said[0])
+    assert written.ingest.takes[0].persons[0].metres_per_unit == pytest.approx(1.0 / 7.0, rel=1e-9)
 
 
 @pytest.mark.parametrize(("units_per_metre", "unit"), [(1.0, 1.0), (100.0, 0.01), (39.3701, 0.0254), (1000.0, 0.001)])
@@ -146,32 +146,34 @@ def test_one_file_for_two_people_is_refused(tmp_path: Path, invoke: CommandLine,
 
 
 def test_files_of_two_takes_are_doubted_and_not_trimmed(tmp_path: Path) -> None:
-    made = new_study(*write_motions(tmp_path, **{"60_01": 40, "61_02": 60}))
-    said = "\n".join(made.said)
+    written = new_study(*write_motions(tmp_path, **{"60_01": 40, "61_02": 60}))
+    said = "\n".join(written.said)
     assert "found 60_01.bvh: 40 frames" in said
     assert 'in doubt: on_unequal = "trim": the files have 40 and 60 frames: ARE THEY OF ONE TAKE? Then' in said
-    assert "on_unequal" not in tomllib.loads(made.text)["ingest"]["takes"][0]
+    assert "on_unequal" not in tomllib.loads(written.text)["ingest"]["takes"][0]
 
 
 def test_a_frame_more_or_less_is_one_take(tmp_path: Path) -> None:
-    made = new_study(*write_motions(tmp_path, a=100, b=99))
-    assert made.ingest.takes[0].on_unequal == "trim"
-    assert made.said[2:] == ['in doubt: on_unequal = "trim": the files have 100 and 99 frames: ARE THEY OF ONE TAKE?']
+    written = new_study(*write_motions(tmp_path, a=100, b=99))
+    assert written.ingest.takes[0].on_unequal == "trim"
+    assert written.said[2:] == [
+        'in doubt: on_unequal = "trim": the files have 100 and 99 frames: ARE THEY OF ONE TAKE?'
+    ]
 
 
 def test_a_giant_is_doubted(tmp_path: Path) -> None:
-    made = new_study(write_odd(tmp_path / "tall.bvh", units_per_metre=121.0))
+    written = new_study(write_odd(tmp_path / "tall.bvh", units_per_metre=121.0))
     doubt = "in doubt: metres_per_unit = 0.01: tall.bvh: in units of one centimetre the body is 2.08 m tall"
-    assert doubt in "\n".join(made.said)
-    assert re.search(r"metres_per_unit = 0.01 .*A GUESS - CHECK IT", made.text)
-    assert "likely" not in made.text
+    assert doubt in "\n".join(written.said)
+    assert re.search(r"metres_per_unit = 0.01 .*A GUESS - CHECK IT", written.text)
+    assert "likely" not in written.text
 
 
 def test_a_rate_that_only_a_name_tells_is_doubted(tmp_path: Path) -> None:
     path = write_walk(tmp_path)
-    made, why = new_study(path), "the file states none, CMU's of this name has it: A GUESS"
-    assert any(line.startswith(f"in doubt: rate_hz = 120: {why}") for line in made.said)
-    assert re.search(rf"rate_hz = 120 +# {why} - CHECK IT", made.text)
+    written, why = new_study(path), "the file states none, CMU's of this name has it: A GUESS"
+    assert any(line.startswith(f"in doubt: rate_hz = 120: {why}") for line in written.said)
+    assert re.search(rf"rate_hz = 120 +# {why} - CHECK IT", written.text)
     note_fetched(path, path.read_bytes())
     assert not [line for line in new_study(path).said if "in doubt" in line]
 
@@ -185,8 +187,8 @@ def test_salsa_files_are_known_to_lie_by_their_names(data_dir: Path) -> None:
 
 
 def test_salsa_files_of_another_name_get_the_guess_and_the_doubt_they_deserve(data_dir: Path, tmp_path: Path) -> None:
-    for name, other in (("60_10.bvh", "leader.bvh"), ("61_10.bvh", "follower.bvh")):
-        (tmp_path / other).symlink_to(data_dir / "cmu_salsa_bvh" / name)
+    for name, renamed in (("60_10.bvh", "leader.bvh"), ("61_10.bvh", "follower.bvh")):
+        (tmp_path / renamed).symlink_to(data_dir / "cmu_salsa_bvh" / name)
     text = new_study(tmp_path / "leader.bvh", tmp_path / "follower.bvh").text
     assert "rate_hz = 120         # stated by the file" in text  # it lies: 60 Hz is true
     assert text.count("A GUESS - SET IT") == 2  # 1.29 m tall in metres: not believed
@@ -278,12 +280,12 @@ def test_two_files_of_one_rig_share_a_mapping_and_those_of_two_do_not(tmp_path: 
     for number, (path, rig) in enumerate(zip(paths, rigs, strict=True)):
         path.parent.mkdir(exist_ok=True)
         path.write_text(of_no_program(rig.bvh()).replace("Frame Time: ", f"Frame Time: {' ' * number}"))
-    made = new_study(*paths)
-    assert sum("drafted mapping:" in line for line in made.said) == 2
-    mappings = made.ingest.mappings
+    written = new_study(*paths)
+    assert sum("drafted mapping:" in line for line in written.said) == 2
+    mappings = written.ingest.mappings
     assert list(mappings) == ["odd", "odd_2"]
     assert mappings["odd"]["parts"] != mappings["odd_2"]["parts"]
-    assert [person.layout for person in made.ingest.takes[0].persons] == ["odd", "odd", "odd_2"]
+    assert [person.layout for person in written.ingest.takes[0].persons] == ["odd", "odd", "odd_2"]
 
 
 def test_two_rigs_rates_and_axes_are_written_for_each(tmp_path: Path) -> None:
@@ -294,13 +296,13 @@ def test_two_rigs_rates_and_axes_are_written_for_each(tmp_path: Path) -> None:
     step = re.search(r"Frame Time: (\S+)", text)
     assert step is not None
     second.write_text(text.replace(step[0], f"Frame Time: {float(step[1]) / 2:.9f}"))
-    made = new_study(first, second)
-    people = made.ingest.takes[0].persons
+    written = new_study(first, second)
+    people = written.ingest.takes[0].persons
     assert [person.layout for person in people] == ["mixamo", "unreal"]
     assert [person.rate_hz for person in people] == [30.0, 60.0]
     assert [person.up_axis for person in people] == ["y", "z"]
-    assert "12 frames" in made.said[0]
-    assert any("0.40 and 0.20 seconds: ARE THEY" in line for line in made.said)
+    assert "12 frames" in written.said[0]
+    assert any("0.40 and 0.20 seconds: ARE THEY" in line for line in written.said)
 
 
 @pytest.mark.parametrize(
@@ -319,8 +321,8 @@ def test_why_no_layout_fits_is_said(layout: str, missing: tuple[str, ...] | None
     taken = SimpleNamespace(why_no_layout="two joints are one; give another")
     lines = _drafted([SimpleNamespace(path=Path("a.bvh"), layout=layout, draft=draft, taken=taken)])  # type: ignore[list-item]
     assert ("a.bvh: two joints are one; give another" in lines) is is_why_said
-    found = [line for line in lines if "no joint was found for" in line]
-    assert found == ["a.bvh: no joint was found for left_knee, head; set them in the study"] * bool(missing)
+    lacking = [line for line in lines if "no joint was found for" in line]
+    assert lacking == ["a.bvh: no joint was found for left_knee, head; set them in the study"] * bool(missing)
     assert any(line.split() == ["pelvis", "Hips", "A", "GUESS", "its", "place"] for line in lines) is (
         draft is not None
     )

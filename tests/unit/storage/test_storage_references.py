@@ -71,27 +71,27 @@ def test_an_unknown_table_is_refused_with_the_known_ones() -> None:
 
 
 def test_a_key_prefix_opens_the_artifact_that_has_the_table(store: Store, refs: list[ArtifactRef]) -> None:
-    found = open_table(f"poses@{refs[1].key[:10]}", store)
-    np.testing.assert_array_equal(found["pair17_m"], random_columns("poses", 4, 1)["pair17_m"])
+    rows = open_table(f"poses@{refs[1].key[:10]}", store)
+    np.testing.assert_array_equal(rows["pair17_m"], random_columns("poses", 4, 1)["pair17_m"])
     assert resolve(f"poses@{refs[1].key}", store) == [refs[1]]
 
 
 def test_a_partition_is_its_shards_one_after_another(store: Store, refs: list[ArtifactRef]) -> None:
-    found = open_table("poses:duets/waltz", store, columns=["frame", "pair17_m"])
+    rows = open_table("poses:duets/waltz", store, columns=["frame", "pair17_m"])
     given = [random_columns("poses", 3), random_columns("poses", 4, 1)]
-    assert found.column_names == ["frame", "pair17_m"]
-    for name in found:
-        np.testing.assert_array_equal(found[name], np.concatenate([columns[name] for columns in given]))
+    assert rows.column_names == ["frame", "pair17_m"]
+    for name in rows:
+        np.testing.assert_array_equal(rows[name], np.concatenate([columns[name] for columns in given]))
     assert resolve("poses:duets", store) == refs[:3]
     batches = list(iter_rows("poses:duets/waltz", store))
     assert [batch.num_rows for batch in batches] == [3, 4]
 
 
 def test_a_row_is_counted_through_the_shards(store: Store, refs: list[ArtifactRef]) -> None:
-    found = open_table("poses:duets/waltz#5", store)
-    assert found.num_rows == 1
-    np.testing.assert_array_equal(found["pair17_m"][0], random_columns("poses", 4, 1)["pair17_m"][2])
-    assert next(iter_rows("poses:duets/waltz#5", store))["frame"] == found["frame"]
+    rows = open_table("poses:duets/waltz#5", store)
+    assert rows.num_rows == 1
+    np.testing.assert_array_equal(rows["pair17_m"][0], random_columns("poses", 4, 1)["pair17_m"][2])
+    assert next(iter_rows("poses:duets/waltz#5", store))["frame"] == rows["frame"]
     assert open_table(f"scores@{refs[3].key[:8]}#4", store).num_rows == 1
     with pytest.raises(UnknownReference, match="there is no row 7, the table has 7 rows here"):
         open_table("poses:duets/waltz#7", store)

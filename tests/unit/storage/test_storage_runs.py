@@ -43,10 +43,10 @@ def test_the_latest_run_reads_back_and_keeps_stages_it_did_not_run(store: Store)
     for run_id, ref in (("one", take), ("two", seeds)):
         records = {ref.stage: [ShardRecord.of(store.manifest(ref), store)]}
         written = record_latest(store, "duets", run_id, records)
-    found = read_latest(store, "duets")
-    assert found is not None
-    assert (found, found.run_id) == (written, "two")
-    refs = [found.refs(*words) for words in (("ingest",), ("ingest", "waltz"), ("ingest", "hug"), ("chains",))]
+    latest = read_latest(store, "duets")
+    assert latest is not None
+    assert (latest, latest.run_id) == (written, "two")
+    refs = [latest.refs(*words) for words in (("ingest",), ("ingest", "waltz"), ("ingest", "hug"), ("chains",))]
     assert refs == [[take], [take], [], []]
     assert latest_studies(store) == ["duets"]
     assert list(store.artifacts("runs")) == []

@@ -56,10 +56,10 @@ def test_columns_and_rows_can_be_chosen(store: Store) -> None:
     ref = store.commit(**about(tables={"annotations": given}))
     edge = ROW_GROUP_ROWS
     for rows in (slice(5, 9), slice(edge - 2, edge + 2), slice(-3, None), slice(7, 3), slice(90, 10**9)):
-        found = store.read(ref, "annotations", columns=["frame", "sequence_id"], rows=rows)
-        assert found.column_names == ["sequence_id", "frame"]
-        assert_same_values(found["frame"], given["frame"][rows])
-        assert_same_values(found["sequence_id"], given["sequence_id"][rows])
+        part = store.read(ref, "annotations", columns=["frame", "sequence_id"], rows=rows)
+        assert part.column_names == ["sequence_id", "frame"]
+        assert_same_values(part["frame"], given["frame"][rows])
+        assert_same_values(part["sequence_id"], given["sequence_id"][rows])
     batches = list(store.iter_batches(ref, "annotations", columns=["frame"]))
     assert [batch.num_rows for batch in batches] == [ROW_GROUP_ROWS, ROW_GROUP_ROWS, 50]
     np.testing.assert_array_equal(np.concatenate([batch["frame"] for batch in batches]), given["frame"])
@@ -67,40 +67,40 @@ def test_columns_and_rows_can_be_chosen(store: Store) -> None:
 
 def test_nullable_numbers_read_as_nan_and_nullable_text_as_none(store: Store) -> None:
     columns = random_columns("annotations", 3) | {"take_frame": [4, None, 0], "take_id": ["a", None, ""]}
-    found = store.read(store.commit(**about(tables={"annotations": columns})), "annotations")
-    np.testing.assert_array_equal(found["take_frame"], [4.0, np.nan, 0.0])
-    assert found["take_id"].tolist() == ["a", None, ""]
-    assert found.is_null("take_frame").tolist() == [False, True, False]
+    rows = store.read(store.commit(**about(tables={"annotations": columns})), "annotations")
+    np.testing.assert_array_equal(rows["take_frame"], [4.0, np.nan, 0.0])
+    assert rows["take_id"].tolist() == ["a", None, ""]
+    assert rows.is_null("take_frame").tolist() == [False, True, False]
     del columns["take_id"], columns["take_frame"]  # they may be left out
-    found = store.read(store.commit(**about(key="1" * 64, tables={"annotations": columns})), "annotations")
-    assert found["take_id"].tolist() == [None] * 3
-    assert np.isnan(found["take_frame"]).all()
+    rows = store.read(store.commit(**about(key="1" * 64, tables={"annotations": columns})), "annotations")
+    assert rows["take_id"].tolist() == [None] * 3
+    assert np.isnan(rows["take_frame"]).all()
 
 
 def test_rows_of_a_table_are_arrays_dicts_and_slices(store: Store) -> None:
     given = random_columns("draws", 6)
-    found = store.read(store.commit(**about(tables={"draws": given})), "draws")
-    assert len(found) == 6
-    assert found["pair17_m"].shape == (6, 2, 17, 3)
-    assert found["pair17_m"].dtype == np.float32
-    assert found["pair17_m"].flags.writeable
-    assert found["pair17_m"] is found["pair17_m"]
-    assert found.row(-1)["draw"] == given["draw"][5]
-    assert_same_values(found.slice(2, 4)["parameters"], given["parameters"][2:4])
-    assert "draw" in found
-    assert "pair17" not in found
+    rows = store.read(store.commit(**about(tables={"draws": given})), "draws")
+    assert len(rows) == 6
+    assert rows["pair17_m"].shape == (6, 2, 17, 3)
+    assert rows["pair17_m"].dtype == np.float32
+    assert rows["pair17_m"].flags.writeable
+    assert rows["pair17_m"] is rows["pair17_m"]
+    assert rows.row(-1)["draw"] == given["draw"][5]
+    assert_same_values(rows.slice(2, 4)["parameters"], given["parameters"][2:4])
+    assert "draw" in rows
+    assert "pair17" not in rows
     with pytest.raises(SchemaError, match="'draws': column 'pair17' is not here"):
-        found["pair17"]
+        rows["pair17"]
     with pytest.raises(IndexError, match="6 rows"):
-        found.row(6)
+        rows.row(6)
 
 
 def test_a_table_may_be_empty_and_keeps_its_shapes(store: Store) -> None:
     ref = store.commit(**about(tables={"poses": {name: [] for name in random_columns("poses", 0)}}))
-    found = store.read(ref, "poses")
-    assert found.num_rows == 0
-    assert found["pair17_m"].shape == (0, 17, 3)
-    assert found["local_unitquat"] == []
+    rows = store.read(ref, "poses")
+    assert rows.num_rows == 0
+    assert rows["pair17_m"].shape == (0, 17, 3)
+    assert rows["local_unitquat"] == []
     assert list(store.iter_batches(ref, "poses")) == []
 
 
@@ -202,54 +202,54 @@ def test_credits_are_those_of_all_that_something_came_from_once(store: Store) ->
 
 def test_a_licence_that_a_study_says_anew_reaches_what_was_made_before(store: Store) -> None:
     old = commit_rows(store, stage="ingest", partition="a", sources=(CMU,))
-    made = commit_rows(store, stage="chains", inputs=(old,))
+    draws = commit_rows(store, stage="chains", inputs=(old,))
     new = commit_rows(store, stage="ingest", partition="a", sources=(STRICTER,), version=2)
     assert (new, new.key == old.key) == (old, False), "the same bytes under another key"
-    assert source_credits(store, made) == (CMU,), "nothing on record says otherwise"
+    assert source_credits(store, draws) == (CMU,), "nothing on record says otherwise"
     for source, ref in ((STRICTER, new), (CMU, old), (STRICTER, new)):
         record(store, "study", ref)
-        assert source_credits(store, made) == (source,)
+        assert source_credits(store, draws) == (source,)
 
 
 def test_a_source_that_a_dataset_calls_otherwise_keeps_its_credits_where_no_run_is_on_record(store: Store) -> None:
     unstated = SourceCredit("motion files given in the study", "not stated", "not stated")
     old = commit_rows(store, stage="ingest", partition="a", sources=(unstated,))
-    made = commit_rows(store, stage="chains", inputs=(old,))
+    draws = commit_rows(store, stage="chains", inputs=(old,))
     new = commit_rows(store, stage="ingest", partition="a", sources=(CMU,), version=2)
     record(store, "study", new)
-    assert create_dataset(store, "released", [new, made]).sources == (CMU,)
+    assert create_dataset(store, "released", [new, draws]).sources == (CMU,)
     shutil.rmtree(store.root / "runs")
-    assert source_credits(store, made) == (CMU,)
+    assert source_credits(store, draws) == (CMU,)
 
 
 def test_licences_are_known_beside_studies_that_only_an_older_program_has_run(store: Store) -> None:
-    made = commit_rows(store, stage="chains", inputs=(commit_rows(store, stage="ingest", sources=(CMU,)),))
+    draws = commit_rows(store, stage="chains", inputs=(commit_rows(store, stage="ingest", sources=(CMU,)),))
     record_latest(store, "older", "run", {})
     path = store.root / "runs" / "latest" / "older.json"
     path.write_text(json.dumps({"schema_version": SCHEMA_VERSION - 1, "study": "older", "shards": []}))
-    assert source_credits(store, made) == (CMU,)
+    assert source_credits(store, draws) == (CMU,)
     path.write_text("{")
     with pytest.raises(CorruptArtifact, match=r"older\.json cannot be read: .*; a run of its study writes it anew"):
-        source_credits(store, made)
+        source_credits(store, draws)
 
 
 def test_where_two_studies_say_different_licences_of_the_same_bytes_each_has_its_own(store: Store) -> None:
     free = commit_rows(store, stage="ingest", partition="a", sources=(CMU,))
     strict = commit_rows(store, stage="ingest", partition="a", sources=(STRICTER,), version=2)
-    made = commit_rows(store, stage="chains", inputs=(free,))
-    record(store, "one", free, made)
-    record(store, "two", strict, made)
-    assert source_credits(store, made, free) == (CMU,)
-    assert source_credits(store, made, strict) == (STRICTER,)
-    assert source_credits(store, made) == (STRICTER, CMU), "nobody says which of the two is meant"
+    draws = commit_rows(store, stage="chains", inputs=(free,))
+    record(store, "one", free, draws)
+    record(store, "two", strict, draws)
+    assert source_credits(store, draws, free) == (CMU,)
+    assert source_credits(store, draws, strict) == (STRICTER,)
+    assert source_credits(store, draws) == (STRICTER, CMU), "nobody says which of the two is meant"
 
 
 def test_nothing_leaves_whose_licence_is_no_longer_known(store: Store) -> None:
     source = commit_rows(store, stage="ingest", sources=(CMU,))
-    made = commit_rows(store, stage="chains", inputs=(source,))
+    draws = commit_rows(store, stage="chains", inputs=(source,))
     store.discard(source)
     with pytest.raises(MissingArtifact, match="its licence is not known"):
-        source_credits(store, made)
+        source_credits(store, draws)
 
 
 def test_a_new_artifact_removes_no_folder(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,10 +36,10 @@ def refs(store: Store) -> list[ArtifactRef]:
 
 def test_an_undamaged_store_has_no_problems(store: Store, refs: list[ArtifactRef]) -> None:
     create_dataset(store, "released", refs)
-    found = verify(store)
-    assert found.is_ok
-    assert (found.num_artifacts, found.num_files) == (3, 6)
-    assert found.num_bytes == sum(store.manifest(ref).num_bytes for ref in refs)
+    report = verify(store)
+    assert report.is_ok
+    assert (report.num_artifacts, report.num_files) == (3, 6)
+    assert report.num_bytes == sum(store.manifest(ref).num_bytes for ref in refs)
 
 
 def test_every_kind_of_damage_is_named_and_nothing_else(store: Store, refs: list[ArtifactRef]) -> None:
@@ -130,9 +130,9 @@ def test_what_an_older_schema_wrote_is_no_damage_and_its_release_is_named(store:
     record.write_text('{"schema_version": 0, "shards": []}')
     with pytest.raises(OlderSchema):
         read_latest(store, "duets")
-    found = verify(store)
-    assert found.is_ok
-    (note,) = found.notes
+    report = verify(store)
+    assert report.is_ok
+    (note,) = report.notes
     assert note.endswith("pasdedeux 0.0.9 reads it, and a run of its study with this one computes it anew beside it")
     assert store.find(ref.stage, ref.key) is None
     with pytest.raises(OlderSchema, match=r"written under schema version 0, .* pasdedeux 0\.0\.9 reads it"):
@@ -146,9 +146,9 @@ def test_a_dataset_of_other_columns_names_the_release_that_reads_them(store: Sto
     create_dataset(store, "released", [ref])
     (table, part), *_ = json.loads((store.folder(ref.stage, ref.key) / "manifest.json").read_text())["tables"].items()
     as_of(store, ref, tables={table: {**part, "schema": "0" * 16}})
-    found = verify(store)
-    assert (found.problems, len(found.notes)) == ((), 1)
-    assert "scores of it have columns of another version; pasdedeux 0.0.9 reads them" in found.notes[0]
+    report = verify(store)
+    assert (report.problems, len(report.notes)) == ((), 1)
+    assert "scores of it have columns of another version; pasdedeux 0.0.9 reads them" in report.notes[0]
     with pytest.raises(NamedByDataset, match="dataset released@1 needs the old one"):
         commit_rows(store, attachments={"note.txt": b"other bytes under this key"})
 
@@ -264,9 +264,9 @@ def test_manifests_of_a_release_without_digests_are_read_and_counted_in_one_note
             del values[name]
         path.write_text(json.dumps(values))
         assert store.load(ref.stage, ref.key) == before
-    found = verify(store)
-    assert found.is_ok
-    (note,) = found.notes
+    report = verify(store)
+    assert report.is_ok
+    (note,) = report.notes
     assert note.startswith("manifests without a digest of themselves, as earlier releases wrote them: 2; ")
 
 

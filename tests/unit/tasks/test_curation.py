@@ -55,7 +55,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, StageInputs]
     inputs = StageInputs({"poses": takes, "takes": takes}, seed=1)
     variants = [store.manifest(solve(shard, store)) for shard in plan_variants(inputs, parameters)]
     records = {"ingest": takes, "augmentation": variants}
-    run = {stage: [ShardRecord.of(manifest, store) for manifest in made] for stage, made in records.items()}
+    run = {stage: [ShardRecord.of(manifest, store) for manifest in manifests] for stage, manifests in records.items()}
     record_latest(store, "short", "20260101T000000-short", run)
     return store, StageInputs({**inputs.manifests, "variants": variants}, seed=1)
 
@@ -201,8 +201,8 @@ def test_clips_are_rejected_by_frames(video: tuple[Store, str], tmp_path: Path, 
     assert chosen["frame"].tolist() == [3, 3, 4, 4, 7, 7, 8, 8]
     assert len(chosen.table.columns) == len(whole.table.columns)
     export_reference(store, reference, "npz", tmp_path / "out", curation=file)
-    with np.load(tmp_path / "out" / "motions.npz") as found:
-        np.testing.assert_array_equal(found["body22_m"], whole["body22_m"][~inside])
+    with np.load(tmp_path / "out" / "motions.npz") as exported:
+        np.testing.assert_array_equal(exported["body22_m"], whole["body22_m"][~inside])
     write_choices(file, [replace(choice, content="0" * 12)])
     assert Data(store, file).table(reference).num_rows == 12, "it had other content then"
 
@@ -267,9 +267,9 @@ def test_rejected_variants_are_not_trained_on(built: tuple[Store, StageInputs], 
 
     assert keys(Choice("reject", "variants", "other_take/A-uniform-0.80", "0" * 12)) == keys()
     assert not {*keys()} & {*keys(choice)}
-    takes, made = ([manifest.ref for manifest in inputs.of(table)] for table in ("poses", "variants"))
-    names = {name for _, name in StoredVariants(store, takes, made).sound_names("waltz")}
-    kept = StoredVariants(store, takes, made, rejected=rejections(as_settings({choice.about: choice}), "variants"))
+    takes, variants = ([manifest.ref for manifest in inputs.of(table)] for table in ("poses", "variants"))
+    names = {name for _, name in StoredVariants(store, takes, variants).sound_names("waltz")}
+    kept = StoredVariants(store, takes, variants, rejected=rejections(as_settings({choice.about: choice}), "variants"))
     assert names - {name for _, name in kept.sound_names("waltz")} == {"A-uniform-0.80"}
 
 

@@ -39,7 +39,7 @@ def test_what_is_not_given_is_none_and_a_model_is_of_the_whole_body_on_the_proce
             name: field for name, field in kind.model_fields.items() if name != "kind" and not field.is_required()
         }
         given |= {
-            name: found for name, field in fields.items() if (found := field.get_default(call_default_factory=True))
+            name: default for name, field in fields.items() if (default := field.get_default(call_default_factory=True))
         }
     assert len(kinds) > 15
     assert given == {"device": "cpu", "skeleton": "body22"}

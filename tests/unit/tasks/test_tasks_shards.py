@@ -72,7 +72,7 @@ def compute(
     order = list(TopologicalSorter({key: shard.after for key, shard in left.items()}).static_order())
     for at, key in enumerate(order):
         pool.submit(run_shard, left[key], -at, arrived.put)
-    found: dict[str, ShardDone] = {}
+    computed: dict[str, ShardDone] = {}
     errors: list[ShardError] = []
     while left:
         pool.work()
@@ -82,12 +82,12 @@ def compute(
             continue
         del left[shard.key]
         if isinstance(ended, ShardDone):
-            found[shard.key] = ended
+            computed[shard.key] = ended
         elif not ended.is_behind:
             errors.append(ended.error)
     if errors:
         raise join_failures(sorted(errors, key=lambda error: error.where))
-    return found
+    return computed
 
 
 def on(client: Client, store: Path) -> ClusterPool:
@@ -241,8 +241,8 @@ def test_what_was_given_up_is_cancelled(client: Client, tmp_path: Path) -> None:
 
 
 def test_a_given_scheduler_is_used_and_survives(client: Client, given: ClusterSettings, tmp_path: Path) -> None:
-    with connect(given, store_root=str(tmp_path)) as other:
-        assert compute(run_grow, shards(), ClusterPool(other, str(tmp_path), is_shared=True))
+    with connect(given, store_root=str(tmp_path)) as second:
+        assert compute(run_grow, shards(), ClusterPool(second, str(tmp_path), is_shared=True))
     assert client.scheduler_info()["workers"]
 
 
@@ -281,8 +281,8 @@ def test_a_greeting_is_asked_for_again(given: ClusterSettings, tmp_path: Path, m
         plainly(self, *arguments, **options)
 
     monkeypatch.setattr(Client, "start", start)
-    with connect(given, store_root=str(tmp_path)) as other:
-        assert other.scheduler_info()["workers"]
+    with connect(given, store_root=str(tmp_path)) as second:
+        assert second.scheduler_info()["workers"]
     greetings = iter([AssertionError()] * 3)
     assert_refused(given, tmp_path, "is not a Dask scheduler")
 

@@ -17,7 +17,7 @@ class Named(Parameters):
 
 
 def test_all_that_decides_a_shard_is_in_its_key_and_where_things_lie_is_not() -> None:
-    digest, other = "1" * 64, "2" * 64
+    digest, changed = "1" * 64, "2" * 64
     read = ArtifactRef("ingest", digest, digest)
     shard = Shard(
         *("grow", 1, "t0", "a", Named()), {"log": (read,)}, (SourceFile("here", digest),), after=("k",), seed=1
@@ -25,14 +25,14 @@ def test_all_that_decides_a_shard_is_in_its_key_and_where_things_lie_is_not() ->
     deciding: list[dict[str, Any]] = [
         *({"stage": "bend"}, {"version": 2}, {"partition": "t1"}, {"name": "b"}, {"seed": 2}, {"after": ("l",)}),
         {"parameters": Named(name="b")},
-        {"inputs": {"log": (replace(read, content_digest=other),)}},
+        {"inputs": {"log": (replace(read, content_digest=changed),)}},
         {"inputs": {"other": (read,)}},
-        {"files": (SourceFile("here", other),)},
+        {"files": (SourceFile("here", changed),)},
     ]
     keys = {replace(shard, **change).key for change in deciding}
     assert len(keys | {shard.key}) == len(deciding) + 1
     assert replace(shard, files=(SourceFile("there", digest),)).key == shard.key
-    assert replace(shard, inputs={"log": (replace(read, key=other),)}).key == shard.key, "other work, the same bytes"
+    assert replace(shard, inputs={"log": (replace(read, key=changed),)}).key == shard.key, "other work, the same bytes"
 
 
 def test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat() -> None:

@@ -155,8 +155,8 @@ def test_a_damaged_export_states_no_unit(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "a.npz", bvh_metres_per_unit=0.0254, joints_m=np.linspace(0.0, 1.0, 500))
     assert exported_unit_m(tmp_path / "a.bvh") == 0.0254
     whole = (tmp_path / "a.npz").read_bytes()
-    found = set()
+    units_m = set()
     for at in range(0, len(whole), 3):
         (tmp_path / "a.npz").write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
-        found.add(exported_unit_m(tmp_path / "a.bvh"))
-    assert found == {None, 0.0254}
+        units_m.add(exported_unit_m(tmp_path / "a.bvh"))
+    assert units_m == {None, 0.0254}

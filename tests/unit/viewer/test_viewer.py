@@ -87,8 +87,8 @@ def test_of_a_take_the_figures_of_the_person_who_is_worst_stand(store: Store) ->
     rows = random_columns("take_quality", 3) | {"take_id": ["waltz"] * 3, "verdict": ["warn", "fail", "pass"]}
     judged = put(store, "checks", take.partition, {"take_quality": rows}, {})
     shelf = Shelf(store, [take.ref], [judged.ref])
-    found = qualities(shelf, shelf.parts[0])["waltz",]
-    assert found["verdict"] == "fail"
+    figures = qualities(shelf, shelf.parts[0])["waltz",]
+    assert figures["verdict"] == "fail"
 
 
 def test_frames_are_stepped_and_stay_within_the_item(viewer: Viewer) -> None:
@@ -132,14 +132,16 @@ class Broken:
 def callbacks_of(viewer: Viewer) -> list[Callable[[Any], object]]:
     """Return everything that viser calls for this viewer, of widgets, keys, handles in the room, and visitors."""
     gui, scene = viewer.server.gui, viewer.server.scene
-    found = [callback for handle in gui._gui_input_handle_from_uuid.values() for callback in handle._impl.update_cb]
-    found += [callback for command in gui._command_handle_from_uuid.values() for callback in command._impl.trigger_cb]
-    found += [
+    callbacks = [callback for handle in gui._gui_input_handle_from_uuid.values() for callback in handle._impl.update_cb]
+    callbacks += [
+        callback for command in gui._command_handle_from_uuid.values() for callback in command._impl.trigger_cb
+    ]
+    callbacks += [
         callback
         for handle in scene._handle_from_transform_controls_name.values()
         for callback in handle._impl_aux.update_cb
     ]
-    return [*found, *viewer.server._client_connect_cb]
+    return [*callbacks, *viewer.server._client_connect_cb]
 
 
 def test_no_callback_lets_an_exception_out_and_each_shows_it(store: Store, tmp_path: Path) -> None:
@@ -205,11 +207,11 @@ def test_pictures_are_of_the_frame_of_their_scene_while_another_is_put_in_place(
     with viewer.lock:
         whole = viewer.scene
         viewer.scene = replace(whole, images=lambda frame: asked.append(frame) or [])
-        other = threading.Thread(target=viewer.flats)
-        other.start()
-        other.join(timeout=0.2)
+        thread = threading.Thread(target=viewer.flats)
+        thread.start()
+        thread.join(timeout=0.2)
         viewer.frame = 0
-    other.join(timeout=20.0)
+    thread.join(timeout=20.0)
     assert set(asked) == {0}
     viewer.scene = whole
 
@@ -292,10 +294,10 @@ def test_other_hosts_and_pages_are_refused_before_the_handshake(viewer: Viewer) 
         assert refused.value.response.status_code == 403
     with connect(address, origin=f"http://127.0.0.1:{port}", subprotocols=["viser-v1.1.1"]) as page:  # type: ignore[arg-type, list-item]
         assert page.recv(timeout=20.0)
-    own = next(one for one in socket.getaddrinfo(socket.gethostname(), port, socket.AF_INET))[4]
-    if not own[0].startswith("127."):
+    address_here = next(info for info in socket.getaddrinfo(socket.gethostname(), port, socket.AF_INET))[4]
+    if not address_here[0].startswith("127."):
         with pytest.raises(OSError, match="refused"):
-            socket.create_connection(own[:2], timeout=5.0)
+            socket.create_connection(address_here[:2], timeout=5.0)
 
 
 def test_refusals_are_one_sentence(store: Store, tmp_path: Path, viewer: Viewer, invoke: CommandLine) -> None:
@@ -327,12 +329,12 @@ def test_pictures_and_clips_are_read_back_by_opencv() -> None:
     images = [np.full((48, 64, 3), rng.integers(256, size=3), dtype=np.uint8) for _ in range(3)]
     read = cv2.imdecode(np.frombuffer(encode_image(images[0], ".png"), np.uint8), cv2.IMREAD_COLOR)
     np.testing.assert_array_equal(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), images[0])
-    found, clip = cv2.imdecodeanimation(np.frombuffer(encode_clip(images, 10.0), np.uint8))
-    assert found
+    is_read, clip = cv2.imdecodeanimation(np.frombuffer(encode_clip(images, 10.0), np.uint8))
+    assert is_read
     assert [frame.shape[:2] for frame in clip.frames] == [(48, 64)] * 3
     assert list(clip.durations) == [100] * 3
     away = [
-        np.abs(frame[..., 2::-1].astype(float) - own).mean() for frame, own in zip(clip.frames, images, strict=True)
+        np.abs(frame[..., 2::-1].astype(float) - image).mean() for frame, image in zip(clip.frames, images, strict=True)
     ]
     assert max(away) < 8.0, "the same colours but for compression"
 
@@ -458,8 +460,8 @@ def test_a_clip_has_the_frames_of_its_seconds_at_its_rate(
     browser = Browser()
     save_clip(viewer, browser)
     (content,) = browser.downloads.values()
-    found, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
-    assert found
+    is_read, clip = cv2.imdecodeanimation(np.frombuffer(content, np.uint8))
+    assert is_read
     assert len(clip.frames) == len(range(5, viewer.scene.num_frames, step))
     assert set(clip.durations.tolist()) == {frame_ms}
 
@@ -479,10 +481,10 @@ def test_nobody_waits_for_a_clip_and_who_goes_on_ends_it_with_a_sentence(viewer:
     viewer.seek(0)
 
     def step_elsewhere() -> None:
-        other = threading.Thread(target=viewer.step, args=(4,))
-        other.start()
-        other.join(timeout=20.0)
-        assert not other.is_alive(), "it waits for the clip"
+        thread = threading.Thread(target=viewer.step, args=(4,))
+        thread.start()
+        thread.join(timeout=20.0)
+        assert not thread.is_alive(), "it waits for the clip"
 
     browser = Browser(step_elsewhere)
     viewer.panel.safely(lambda _: save_clip(viewer, browser), is_alone=False)(None)

@@ -39,9 +39,9 @@ def test_every_curve_has_a_colour_of_its_own_and_lies_at_its_height() -> None:
     inks = PAPER - np.array([rgb(colour) for colour in PERSON_COLOURS])
     drawn = PAPER - image[[148, 106, 64, 22], 320].astype(float)  # thin lines are paler than their ink
     alike = (drawn @ inks.T) / np.linalg.norm(inks, axis=1) / np.linalg.norm(drawn, axis=1)[:, None]
-    found = alike.argmax(axis=1).tolist()
-    assert len(set(found)) == 4
-    assert found[-1] == 1, "the last of them is who is shown"
+    colours = alike.argmax(axis=1).tolist()
+    assert len(set(colours)) == 4
+    assert colours[-1] == 1, "the last of them is who is shown"
     assert (image[[127, 85, 43, 22], [320, 320, 320, 400]] == PAPER).all(), "nothing where nothing is known"
 
 
@@ -134,13 +134,13 @@ def test_a_rod_reaches_from_one_end_of_its_capsule_to_the_other() -> None:
     ends[0] = [[0, 0, 1], [0, 0, 0]]  # straight down its own axis
     ends[1, 1] = ends[1, 0]  # a bone without length
     ends[2] = np.nan
-    found = capsules(ends, np.full(40, 0.1))
-    turns = Rotation.from_quat(found.rods_wxyz[:, [1, 2, 3, 0]])
-    half = turns.apply(np.outer(found.rods_scale[:, 2], [0.0, 0.0, 0.5]))
-    there = np.stack([found.rods_m - half, found.rods_m + half], axis=1)
+    shapes = capsules(ends, np.full(40, 0.1))
+    turns = Rotation.from_quat(shapes.rods_wxyz[:, [1, 2, 3, 0]])
+    half = turns.apply(np.outer(shapes.rods_scale[:, 2], [0.0, 0.0, 0.5]))
+    there = np.stack([shapes.rods_m - half, shapes.rods_m + half], axis=1)
     kept = np.arange(40) != 2
     np.testing.assert_allclose(there[kept], ends[kept], atol=2e-6)
-    assert (found.balls_scale.reshape(40, 2)[2] == 0.0).all(), "who is not there has no size"
+    assert (shapes.balls_scale.reshape(40, 2)[2] == 0.0).all(), "who is not there has no size"
 
 
 def test_bodies_that_overlap_are_marked_between_their_bones_and_far_ones_nowhere() -> None:
@@ -171,8 +171,8 @@ def test_rows_in_any_order_become_frames_of_people_and_who_is_missing_is_not_dra
 
 def turned_pair(angle_rad: float, away_m: float) -> People:
     """Return two T-poses side by side on a line that is turned about the vertical, (2, 2, 22, 3)."""
-    one = 1.7 * standing_m(BODY22)
-    pair = np.stack([one, one + np.array([away_m, 0.0, 0.0])])
+    person = 1.7 * standing_m(BODY22)
+    pair = np.stack([person, person + np.array([away_m, 0.0, 0.0])])
     turn = Rotation.from_rotvec([0.0, angle_rad, 0.0]).as_matrix()
     return People(BODY22, np.stack([pair @ turn.T, (pair + np.array([0.0, 0.0, 9.0])) @ turn.T]))
 

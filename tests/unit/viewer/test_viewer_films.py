@@ -110,13 +110,13 @@ def test_a_reconstruction_is_located_by_who_was_seen_whoever_else_was_there(tmp_
     focal = {"partner_id": [7, 1] * 4, "focal_px": [700.0] * 8}
     seen = SequenceFootage(store, annotated(store, "walk", places | focal, points).ref, "walk")
     grid = Grid.of(np.repeat(np.arange(4), 2), np.array([0, 1] * 4))
-    found = seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0)
-    assert found is not None
-    np.testing.assert_allclose(found.position_m, camera.position_m, atol=1e-4)
-    one = np.full((1, 17, 2), np.nan)
-    one[0, LIMBS17[0]] = 100.0
+    located = seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0)
+    assert located is not None
+    np.testing.assert_allclose(located.position_m, camera.position_m, atol=1e-4)
+    point = np.full((1, 17, 2), np.nan)
+    point[0, LIMBS17[0]] = 100.0
     alone = {"sequence_id": ["one"], "frame": [0], "person_id": [1], "partner_id": [0], "focal_px": [700.0]}
-    seen = SequenceFootage(store, annotated(store, "one", alone, one).ref, "one")
+    seen = SequenceFootage(store, annotated(store, "one", alone, point).ref, "one")
     assert seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0) is None, "a point alone places nothing"
 
 
@@ -170,10 +170,10 @@ def test_an_image_of_a_film_is_that_of_its_frame_in_any_order(tmp_path: Path, fe
 
 
 def test_a_shot_is_sought_at_its_begin(tmp_path: Path, few_are_kept: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[tuple[int, int, float | None]] = []
+    reads: list[tuple[int, int, float | None]] = []
 
     def read(files: tuple[SourceFile, ...], first: int, after_s: float | None, sought: int) -> Iterator[FilmFrame]:
-        found.append((first, sought, after_s))
+        reads.append((first, sought, after_s))
         return read_film(files, first, after_s=after_s, sought=sought)
 
     monkeypatch.setattr("flows.viewing.films.read_film", read)
@@ -182,7 +182,7 @@ def test_a_shot_is_sought_at_its_begin(tmp_path: Path, few_are_kept: None, monke
     film = reader(path, first_frame=10, after_s=times_s[9])
     for number in (20, 35, 12):
         assert grey_of(film, number) == pytest.approx(6 * number, abs=3.0)
-    assert found == [(16, 10, times_s[9]), (31, 21, times_s[20]), (10, 10, times_s[9])]
+    assert reads == [(16, 10, times_s[9]), (31, 21, times_s[20]), (10, 10, times_s[9])]
 
 
 def test_of_a_film_of_a_varying_rate_the_image_is_that_of_the_overlay(tmp_path: Path) -> None:
@@ -203,11 +203,11 @@ def test_a_film_that_has_changed_is_not_shown(tmp_path: Path, monkeypatch: pytes
     ingest = {"videos": [{"id": "grey", "path": str(path)}]}
     asked: list[Path] = []
     monkeypatch.setattr("flows.viewing.films.user_file_digest", lambda one: asked.append(one) or user_file_digest(one))
-    found = find_film(manifest, ingest)  # type: ignore[arg-type]
-    assert found is not None
+    film_there = find_film(manifest, ingest)  # type: ignore[arg-type]
+    assert film_there is not None
     assert not asked, "whoever opens an item does not wait for all of its film"
-    assert found.image(4) is not None
-    assert (asked, found.trouble) == ([path], "")
+    assert film_there.image(4) is not None
+    assert (asked, film_there.trouble) == ([path], "")
     manifest.files = (files[0], (path.name, "1" * 64))
     for sections in (ingest, {}):
         film = find_film(manifest, sections)  # type: ignore[arg-type]
@@ -254,12 +254,12 @@ def test_a_video_beside_keypoints_is_their_film_where_it_has_their_size(tmp_path
     keys = write_keys(tmp_path / "dance.csv", [0, 1])
     grey_film(tmp_path / "dance.avi", 5)
     ingest = {"annotations": [{"id": "dance", "path": str(keys)}]}
-    told = {"id": "dance", "video_size_px": [64, 48]}
-    manifest = SimpleNamespace(parameters=told, files=())
-    found = find_film(manifest, ingest)  # type: ignore[arg-type]
-    assert isinstance(found, FilmReader)
-    assert found.image(4) is not None
-    told["video_size_px"] = [640, 480]
+    parameters = {"id": "dance", "video_size_px": [64, 48]}
+    manifest = SimpleNamespace(parameters=parameters, files=())
+    film = find_film(manifest, ingest)  # type: ignore[arg-type]
+    assert isinstance(film, FilmReader)
+    assert film.image(4) is not None
+    parameters["video_size_px"] = [640, 480]
     assert find_film(manifest, ingest) is None  # type: ignore[arg-type]
     keys.unlink()
     assert find_film(manifest, ingest) is None, "who looks later may have moved it"  # type: ignore[arg-type]

@@ -61,15 +61,15 @@ def test_two_people_of_unknown_rigs_in_one_file_are_drawn_by_its_joints(tmp_path
         positions = scene.people.positions_m
         assert (positions.shape[:2], scene.rate_hz) == ((4, 2), 25.0)
         names = scene.people.skeleton.joint_names
-        own = positions[2, 0, [names.index(name) for name in ("base", "boom", "hook")]]
-        np.testing.assert_allclose(own, [[0, 0.2, 0], [0, 0.7, 0], [0, 1.2, 0]], atol=1e-6)
-        other = positions[2, 1, [names.index(name + "'") for name in ("foot", "mast")]]
-        np.testing.assert_allclose(other, [[1, 0.2, 0], [1, 0.7, 0]], atol=1e-6)
+        first = positions[2, 0, [names.index(name) for name in ("base", "boom", "hook")]]
+        np.testing.assert_allclose(first, [[0, 0.2, 0], [0, 0.7, 0], [0, 1.2, 0]], atol=1e-6)
+        second = positions[2, 1, [names.index(name + "'") for name in ("foot", "mast")]]
+        np.testing.assert_allclose(second, [[1, 0.2, 0], [1, 0.7, 0]], atol=1e-6)
         drawn = Bodies(scene.people)
         assert not drawn.skins
         lengths = drawn.at(2).rods_scale[:, 2]
         assert sorted(lengths[lengths > 0].round(3).tolist()) == [0.5] * 5, "joints of others are not drawn"
-        assert [len(found) for found in marks(scene.people.skeleton, positions[2], drawn.radii_m)] == [0, 0]
+        assert [len(places) for places in marks(scene.people.skeleton, positions[2], drawn.radii_m)] == [0, 0]
         viewer.step(1)
         viewer.describe_frame()
         assert "own joints" in str(viewer.shown.facts.value)

@@ -126,8 +126,8 @@ def test_a_draw_has_its_annotation_beside_it(artifacts: tuple[Store, dict[str, M
     store, named = artifacts
     viewer = begin(editor, "draws")
     assert GAP not in viewer.scene.curves, "draws follow each other in no time"
-    own, matched, *near = viewer.scene.images(0)
-    assert (own.title, matched.title) == ("this draw in its view", f"matched: one/view{MATCHED:05d}")
+    drawn, matched, *near = viewer.scene.images(0)
+    assert (drawn.title, matched.title) == ("this draw in its view", f"matched: one/view{MATCHED:05d}")
     assert [flat.title.split(", ")[0] for flat in near[:1]] == [f"one/view{MATCHED:05d}"]
     distances = [float(flat.title.split(", ")[1].removesuffix(" cm")) for flat in near]
     assert len(distances) == 3

@@ -90,19 +90,19 @@ def test_a_variant_has_its_own_figures_and_verdicts_before_its_source(viewer: Vi
     assert scene.levels is not None
     assert [("pass", "warn", "fail")[level] for level in scene.levels] == LEVELS[name]
     table = store.read(viewer.item.pieces[0][0], "variant_frames")
-    own = slice(NUM_FRAMES * at, NUM_FRAMES * (at + 1))
+    rows = slice(NUM_FRAMES * at, NUM_FRAMES * (at + 1))
     names = ["contact_drift_m", "bone_error_m", "laplacian_error_m", "stance_excursion_m", "floor_penetration_m"]
     names += ["penetration_m", "self_penetration_m", "spine_bend_rad", "jerk_ratio"]
     assert list(scene.curves) == [*names, GAP], "the first is shown unless another one is chosen"
     for column in names:
-        np.testing.assert_array_equal(scene.curves[column], np.asarray(table[column], dtype=np.float64)[own])
+        np.testing.assert_array_equal(scene.curves[column], np.asarray(table[column], dtype=np.float64)[rows])
 
 
 def test_failing_frames_come_by_turns_and_warnings_where_none_fails(viewer: Viewer) -> None:
-    for name, found in (("A-uniform-0.80", [1, 4, 1]), ("A-uniform-1.20", [1, 5, 1])):
+    for name, frames in (("A-uniform-0.80", [1, 4, 1]), ("A-uniform-1.20", [1, 5, 1])):
         show(viewer, name)
         viewer.play(True)
-        for frame in found:
+        for frame in frames:
             viewer.next_failing()
             assert (viewer.frame, viewer.is_playing, viewer.panel.message.value) == (frame, False, "")
     show(viewer, "none")

@@ -144,8 +144,6 @@ def kernel(folder: Path, factor: float = 2.0) -> Any:
     path = folder / "scaling.py"
     path.write_text(f"from pasdedeux.compiled import compiled\n\n@compiled()\ndef scale(x):\n    return {factor} * x\n")
     spec = importlib.util.spec_from_file_location("scaling", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.scale

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,21 +34,13 @@ def items(*, takes: Sequence[str], seconds: int, **values: float | np.ndarray) -
 
 
 def verdict_on(some: Items, criterion: Criterion = CRITERION) -> Verdict:
-    verdict = criterion.verdict(some, BASELINES)
-    assert verdict is not None
-    return verdict
-
-
-def merged(verdicts: Iterable[Verdict]) -> Verdict:
-    verdict = merge_verdicts(verdicts)
-    assert verdict is not None
-    return verdict
+    return criterion.verdict(some, BASELINES)  # type: ignore[return-value]
 
 
 def test_a_verdict_comes_back_from_json_as_it_was() -> None:
     verdict = Verdict(Level.WARN, "drifts", "contact drift", 0.01, "m", 0.2, "plain forward kinematics", 3, "variants")
     compared = verdict_on(items(takes=["a"], seconds=12, fitted=0.1, lifting=0.2))
-    for given in (verdict, compared, merged([verdict, compared])):
+    for given in (verdict, compared, merge_verdicts([verdict, compared])):
         assert Verdict.from_json(json.loads(json.dumps(given.to_json(), sort_keys=True))) == given
     bare = Verdict.from_json(Verdict(Level.PASS).to_json())
     assert bare.level is Level.PASS
@@ -115,7 +107,6 @@ def test_a_bound_is_no_baseline_and_is_never_what_is_judged() -> None:
     assert verdict_on(known).level is Level.PASS
     with_truth = replace(known, values={**known.values, "truth": np.zeros(12)})
     unnamed = verdict_on(with_truth, replace(CRITERION, methods=()))
-    assert unnamed.paired is not None
     assert (unnamed.level, unnamed.paired.method) == (Level.PASS, "fitted")
 
 
@@ -148,7 +139,7 @@ def test_too_little_is_not_judged_and_never_counts_as_a_pass(some: Items, words:
     assert verdict.reason.startswith(words)
     summary = Summary([], [], {"lifting": verdict, "seeds": Verdict(Level.PASS)})
     assert summary.judgement == "1 not judged, 1 pass"
-    assert merged([replace(verdict, count=1), Verdict(Level.PASS)]).level is Level.NOT_JUDGED
+    assert merge_verdicts([replace(verdict, count=1), Verdict(Level.PASS)]).level is Level.NOT_JUDGED
 
 
 def test_many_images_of_a_second_are_one_block() -> None:
@@ -182,7 +173,7 @@ def test_a_limit_is_kept_or_broken() -> None:
 def test_many_verdicts_become_the_worst_with_its_share_and_the_mean_figure() -> None:
     verdicts = [Verdict(Level.PASS, "", "drift", value, "m", 1.0, "plain", thing="variants") for value in (0.1, 0.2)]
     verdicts.append(Verdict(Level.WARN, "too far", "drift", 0.9, "m", 4.0, "plain", thing="variants"))
-    verdict = merged(verdicts)
+    verdict = merge_verdicts(verdicts)
     assert (verdict.level, verdict.reason, verdict.count, verdict.thing) == ("warn", "1 of 3: too far", 3, "variants")
     assert (verdict.value, verdict.baseline) == pytest.approx((0.4, 2.0))
     assert merge_verdicts([]) is None
@@ -204,9 +195,9 @@ OF_IMAGES = [
 @pytest.mark.parametrize("every", [OF_VARIANTS, OF_IMAGES], ids=["limits", "compared"])
 @pytest.mark.parametrize("size", [1, 2, 4, 100])
 def test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards(every: list[Verdict], size: int) -> None:
-    whole = merged(every)
-    shards = [merged(every[start : start + size]) for start in range(0, len(every), size)]
-    joined = merged(reversed(shards))
+    whole = merge_verdicts(every)
+    shards = [merge_verdicts(every[start : start + size]) for start in range(0, len(every), size)]
+    joined = merge_verdicts(reversed(shards))
     assert (joined.value, joined.baseline) == pytest.approx((whole.value, whole.baseline), rel=1e-12)
     plain = [replace(verdict, value=0.0, baseline=0.0, paired=None) for verdict in (joined, whole)]
     assert plain[0] == plain[1]
@@ -215,7 +206,7 @@ def test_a_verdict_does_not_depend_on_how_work_is_cut_into_shards(every: list[Ve
 def test_parts_that_are_too_small_to_be_judged_are_judged_together() -> None:
     parts = [verdict_on(items(takes=[take], seconds=6, fitted=0.1, lifting=0.2)) for take in ("a", "b")]
     assert {part.level for part in parts} == {Level.NOT_JUDGED}
-    whole = merged(parts)
+    whole = merge_verdicts(parts)
     assert (whole.level, whole.count) == (Level.PASS, 12)
 
 
@@ -226,7 +217,6 @@ def test_a_stage_and_its_summary_and_table_say_the_same(store: Store) -> None:
         shard = Shard("views", 1, "hug", name, Parameters())
         manifests.append(store.manifest(commit(shard, store, tables={}, facts=Facts(), verdict=verdict)))
     whole = stage_verdict(manifests)
-    assert whole is not None
     assert (round(whole.value, 6), figure_words(whole)) == (0.54, "trust 0.54, mean of 10 images")
     assert summary_of(manifests).verdicts == {"views": whole}
     assert [judgement.verdict for judgement in judge(manifests)] == [whole]

@@ -67,7 +67,6 @@ def store(store: Store, study: Path) -> Store:
     """Three runs of the toy study at three scales; the first is a dataset."""
     run_toys(study, store.root)
     latest = read_latest(store, "toy")
-    assert latest is not None
     create_dataset(store, "first", latest.refs("judge"))
     for scale in (2.0, 3.0):
         run_toys(study, store.root, f"grow.scale={scale}")
@@ -99,7 +98,6 @@ def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_g
     collect(store, NOW)
     left = {manifest.ref for manifest in store.artifacts()}
     latest = read_latest(store, "toy")
-    assert latest is not None
     roots = [ref for stage in latest.stages for ref in latest.refs(stage)]
     with_dataset = {step.ref for ref in roots for step in lineage(store, ref)} | {
         manifest.ref for manifest in Store(store.root).artifacts() if manifest.parameters.get("scale") == 1.0

@@ -1,7 +1,8 @@
-"""What a build would cost: bounds that any order of work keeps, and what a plan has to compute."""
+"""What a build would cost and what it took: bounds that any order of work keeps, plans, and the profile of a run."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,15 @@ from hypothesis import strategies as st
 
 from flows.console.display import cost_lines, duration_text, size_text
 from flows.costs import DISPATCH_S, OVERHEAD_S, Cost, Job, Work, estimate_cost, planned_work
-from flows.planning import PlanError
+from flows.execution import begin, execute
+from flows.outcomes import Run
+from flows.planning import PlanError, make_plan
+from flows.profiling import PROFILE_FILE, write_profile
+from flows.study import load_study
 from storage_schema import Store
+from tasks.shards import HerePool
 from tests.builders.command_line import CommandLine
-from tests.builders.toy_runs import plan_toys, write_study
+from tests.builders.toy_runs import computed, plan_toys, write_study
 from tests.builders.toys import TOYS
 
 EACH_S = DISPATCH_S + OVERHEAD_S
@@ -119,3 +125,28 @@ def test_a_cost_is_a_table_and_says_what_it_rests_on() -> None:
     assert last == "1 shard, 99 s of one core, 0.0 MB"
     assert [duration_text(seconds) for seconds in (99.9, 100.0, 7199.0)] == ["100 s", "1 min 40 s", "119 min 59 s"]
     assert size_text(49_999.0) == "0.0 MB"
+
+
+def profile_of(run: Run) -> tuple[str, dict[str, int]]:
+    """Return the page of a profiled run, and how many shards it computed of each stage."""
+    plan = make_plan(run.study, run.graph, run.store)
+    outcome = execute(run, begin(run, plan), plan, HerePool(str(run.store)))
+    page = (run.store.root / "runs" / outcome.run_id / "report" / PROFILE_FILE).read_text()
+    return page, computed(outcome)
+
+
+def test_a_profile_has_the_shards_that_were_computed_by_stage(tmp_path: Path) -> None:
+    path, store = str(write_study(tmp_path)), Store(tmp_path / "store")
+    for settings, is_grown in ([], True), (["bend.step=500"], False):
+        study, graph = load_study(path, TOYS, settings=settings, environment={})
+        page, computed = profile_of(Run(study, graph, store, is_profiled=True))
+        rows = re.findall(r"<tr><td>(\w+)</td><td>(\d+)</td><td>[\d.]+ s</td><td>[\d.]+ s</td><td>([\d.]+)%", page)
+        assert {stage: int(count) for stage, count, _ in rows} == computed
+        assert ("grow" in computed) == is_grown
+        assert abs(sum(float(share) for *_, share in rows) - 100.0) < 0.1 * len(rows)
+        assert "data:image/svg+xml" in page
+
+
+def test_the_profile_of_a_run_that_computed_nothing_says_so(tmp_path: Path) -> None:
+    page = write_profile(tmp_path, Store(tmp_path / "store"), []).read_text()
+    assert "0 shards, without those that were there already" in page

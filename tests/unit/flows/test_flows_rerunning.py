@@ -214,7 +214,6 @@ def test_other_bytes_of_a_page_are_rounding_only_after_rounded_tables(built: Sto
     run_toys(tmp_path / "toy.toml", tmp_path / "titled", f"grow.source={tmp_path / 'source.txt'}", "judge.title=else")
     titled = Store(tmp_path / "titled")
     latest = read_latest(titled, "toy")
-    assert latest is not None
     new = artifacts_by_place(titled, latest.refs("judge"))
     aside = {place: manifest for place, manifest in old.artifacts.items() if place[0] != "aside"}
     page = ("judge", "all", "all")

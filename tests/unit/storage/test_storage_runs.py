@@ -44,7 +44,6 @@ def test_the_latest_run_reads_back_and_keeps_stages_it_did_not_run(store: Store)
         records = {ref.stage: [ShardRecord.of(store.manifest(ref), store)]}
         written = record_latest(store, "duets", run_id, records)
     latest = read_latest(store, "duets")
-    assert latest is not None
     assert (latest, latest.run_id) == (written, "two")
     refs = [latest.refs(*words) for words in (("ingest",), ("ingest", "waltz"), ("ingest", "hug"), ("chains",))]
     assert refs == [[take], [take], [], []]
@@ -64,7 +63,6 @@ def test_runs_that_record_at_the_same_time_lose_nothing(store: Store) -> None:
     children = [subprocess.Popen([*command, str(number)], cwd=root) for number in range(3)]
     assert [child.wait(timeout=60) for child in children] == [0, 0, 0]
     latest = read_latest(store, "duets")
-    assert latest is not None
     assert len(latest.stages) == 30
 
 

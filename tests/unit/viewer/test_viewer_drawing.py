@@ -189,13 +189,10 @@ def test_the_first_view_is_across_the_line_between_two_people(angle_rad: float) 
 
 def test_the_gap_between_two_bodies_is_that_of_their_surfaces_and_negative_within_each_other() -> None:
     wide, near = surface_gap_curve(turned_pair(0.3, 2.5)), surface_gap_curve(turned_pair(0.3, 0.1))
-    assert wide is not None
-    assert near is not None
     assert wide.shape == (2,)
     assert 0.3 < wide[0] < 2.5
     assert near[0] < 0.0
     assert surface_gap_curve(People(BODY22, turned_pair(0.0, 1.0).positions_m[:, :1])) is None
     strip = time_strip(np.ones((2, 2), bool), None, np.array([0.5, -0.05]))
-    assert strip is not None
     assert [tuple(strip[0, at]) for at in (0, -1)] == [(250, 250, 250), (220, 20, 60)]
     assert time_strip(np.ones((2, 2), bool), None, None) is None

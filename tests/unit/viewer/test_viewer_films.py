@@ -111,7 +111,6 @@ def test_a_reconstruction_is_located_by_who_was_seen_whoever_else_was_there(tmp_
     seen = SequenceFootage(store, annotated(store, "walk", places | focal, points).ref, "walk")
     grid = Grid.of(np.repeat(np.arange(4), 2), np.array([0, 1] * 4))
     located = seen.locate_camera(body, grid, camera.camera_from_world_rotmat, 1.0)
-    assert located is not None
     np.testing.assert_allclose(located.position_m, camera.position_m, atol=1e-4)
     point = np.full((1, 17, 2), np.nan)
     point[0, LIMBS17[0]] = 100.0
@@ -204,14 +203,12 @@ def test_a_film_that_has_changed_is_not_shown(tmp_path: Path, monkeypatch: pytes
     asked: list[Path] = []
     monkeypatch.setattr("flows.viewing.films.user_file_digest", lambda one: asked.append(one) or user_file_digest(one))
     film_there = find_film(manifest, ingest)  # type: ignore[arg-type]
-    assert film_there is not None
     assert not asked, "whoever opens an item does not wait for all of its film"
     assert film_there.image(4) is not None
     assert (asked, film_there.trouble) == ([path], "")
     manifest.files = (files[0], (path.name, "1" * 64))
     for sections in (ingest, {}):
         film = find_film(manifest, sections)  # type: ignore[arg-type]
-        assert film is not None
         assert film.image(0) is None
         assert film.trouble == "the film grey.avi of these 2D poses is missing, or has changed since it was read"
 
@@ -245,7 +242,6 @@ def test_tracks_follow_a_dragged_joint_and_are_saved(tmp_path: Path, open_viewer
     frames = saved.read()
     row = np.flatnonzero((frames.frame == 13) & (frames.person_id == 1))[0]
     joint = KEYPOINT_LAYOUTS["coco17"].keypoint_names.index("left_wrist")
-    assert frames.status is not None
     assert frames.status[row, joint] == KeypointStatus.ANNOTATED
     np.testing.assert_allclose(frames.keypoints_px[row, joint], after[13][1, WRIST], atol=0.01)
 
@@ -274,5 +270,4 @@ def test_a_film_of_images_of_which_one_has_changed_is_not_shown(tmp_path: Path) 
     for last, is_shown in ((files[2], True), ((paths[2].name, "1" * 64), False)):
         manifest = SimpleNamespace(parameters=OF_FILM | {"num_given": 0}, files=(*files[:2], last))
         film = find_film(manifest, ingest)  # type: ignore[arg-type]
-        assert film is not None
         assert (film.image(2) is not None) is is_shown

@@ -153,7 +153,6 @@ def test_2d_poses_are_lifted_again_as_they_are_now_beside_the_pair_of_before(
     if moved_px:
         points[1, WRIST] += [moved_px, -moved_px]
         drag = viewer.side.on_drag
-        assert drag is not None
         drag(Dragged(1, WRIST, points[1, WRIST], is_last=True))
     place = viewer.item.read(store, "annotations", ["sequence_id", "frame"])
     moment = str(place["sequence_id"][2]), int(place["frame"][2])
@@ -162,7 +161,6 @@ def test_2d_poses_are_lifted_again_as_they_are_now_beside_the_pair_of_before(
     editor.lift()
     scene = viewer.scene
     assert (scene.num_frames, scene.behind_name, viewer.frame) == (1, "before", 0)
-    assert scene.behind is not None
     np.testing.assert_allclose(scene.behind.frame(0), before, atol=1e-6)
     np.testing.assert_allclose(scene.people.frame(0), after, atol=1e-5)
     away_cm = 100.0 * np.linalg.norm(after - before, axis=-1).mean()

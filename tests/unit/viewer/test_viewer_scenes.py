@@ -44,7 +44,6 @@ def test_a_lifted_pair_stands_before_the_capture_as_its_camera_saw_it_with_its_i
     scene = scene_of(shelf, "lifted_pairs")
     assert (scene.num_frames, scene.behind_name, scene.has_floor) == (3, "capture", False)
     np.testing.assert_allclose(scene.people.positions_m, [row["pair17_m"] for row in rows], atol=1e-6)
-    assert scene.behind is not None
     true = poses["hidden"][4] @ TURNS["film hidden"].T
     np.testing.assert_allclose(scene.behind.frame(1), true - true.reshape(-1, 3).mean(axis=0), atol=1e-6)
     assert np.isnan(scene.behind.frame(2)).all(), "nobody knows who it was"
@@ -126,7 +125,6 @@ def test_a_reconstruction_stands_upright_and_its_error_is_of_limbs_about_the_roo
     np.testing.assert_allclose(scene.curves["error_m"], error, atol=1e-5)
     np.testing.assert_allclose(scene.curves["match_distance_m"], 0.05 + 0.01 * np.arange(FRAMES - 1), atol=1e-6)
     assert (scene.rate_hz, scene.behind_name) == (pytest.approx(RATE_HZ), "capture")
-    assert scene.behind is not None
     behind, shown = scene.behind.positions_m, scene.people.positions_m
     assert behind[..., 1].min() == pytest.approx(shown[..., 1].min(), abs=1e-5)
     middles = [motion[0, :, BODY22.root].mean(axis=0) for motion in (behind, shown)]
@@ -194,7 +192,6 @@ def test_nearest_poses_stand_beside_a_motion(store: Store, monkeypatch: pytest.M
     seen = np.tile(np.array(turned) @ camera.camera_from_upright_rotmat.T + [3.0, 1.0, 2.0], (FRAMES - 1, 1, 1, 1))
     motions = put_reconstruction(store, pairs_of(0, 22)[1:], 15.0, "film", (database,), seen)
     scene = scene_of(Shelf(store, [motions.ref]), "motions")
-    assert scene.nearest is not None
     flats = scene.nearest(4)
     assert [flat.title.partition(":")[0] for flat in flats] == ["A"] * 3 + ["B"] * 3
     for person, flat in enumerate(flats[::3]):
@@ -209,7 +206,6 @@ def test_nearest_poses_stand_beside_a_motion(store: Store, monkeypatch: pytest.M
     assert takes <= set("vwxyz" if most > 150 else "vxz"), "every second pose where there are too many"
     bare = put_reconstruction(store, pairs_of(0, 22)[1:], 15.0, "bare")
     alone = scene_of(Shelf(store, [bare.ref]), "motions")
-    assert alone.nearest is not None
     assert alone.nearest(4) == []
 
 

@@ -32,7 +32,7 @@ def test_commands_and_scale_have_benchmarks_beside_the_stages() -> None:
 
 def test_status_is_measured_on_a_store_of_that_many_artifacts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "_NUM_ARTIFACTS", 50)
-    monkeypatch.setattr(commands, "measure", lambda name, work, count: (name, count / len(list(work()))))
+    monkeypatch.setattr(commands, "measure_rate", lambda name, work, count: (name, count / len(list(work()))))
     result = commands.BENCHMARKS["status"]()
     assert result.plain_per_s == 1.0, "the plain form reads one manifest for each artifact"
 

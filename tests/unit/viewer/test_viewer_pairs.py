@@ -134,7 +134,7 @@ def test_a_draw_has_its_annotation_beside_it(artifacts: tuple[Store, dict[str, M
     assert distances == sorted(distances)
     assert distances[0] < 0.05 < distances[1]
     seen, _ = read_seen_pairs(store, named["annotations"].ref, named["views"].ref, num_hypotheses=1)
-    (image_m,) = [pair.image_m for place, pair in seen.items() if place.sequence_id == f"pair/view{MATCHED:05d}"]
+    (image_m,) = [pair.image_m for place, pair in seen.items() if place.sequence_id == f"one/view{MATCHED:05d}"]
     for flat in (matched, near[0]):
         across = flat.points_px - flat.points_px[0, 0]
         np.testing.assert_allclose(across, 400.0 * (image_m - image_m[0, 0]) * [1.0, -1.0], atol=1e-6)

@@ -346,7 +346,7 @@ FAULTS = (
     Fault("what follows a forced shard is fresh", "flows/planning.py",
           "if is_forced or is_lost or shard.key in behind:", "if is_forced or is_lost:",
           "unit/flows/test_flows_planning.py::"
-          "test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again"),
+          "test_shards_behind_a_forced_one_are_computed_again"),
     Fault("a random stream has no label", "tasks/stage/streams.py", "int.from_bytes(digest[i : i + 4], \"little\")",
           "0",
           "unit/tasks/test_tasks_stage.py::test_streams_of_other_seeds_and_labels_are_other_streams_and_the_same_ones_repeat"),
@@ -478,7 +478,7 @@ FAULTS = (
     Fault("what is damaged stays damaged", "storage_schema/store.py",
           "is_damaged = bool(self.damaged_files(manifest))", "is_damaged = False",
           "unit/flows/test_flows_execution.py::"
-          "test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_command"),
+          "test_a_flipped_bit_is_named_and_its_artifact_computed_again"),
     Fault("a damaged record of a run is no problem", "storage_schema/verification.py",
           "    problems.extend(_check_records(store))\n", "",
           "unit/storage/test_storage_verification.py::test_damaged_records_and_lists_are_named_and_nothing_else"),

@@ -176,9 +176,7 @@ def test_a_standing_rest_pose_keeps_positions(taken: tuple[Store, ArtifactRef, l
     assert "a standing T-pose" in said
 
 
-def test_variants_can_have_the_rate_of_the_source(
-    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
-) -> None:
+def test_variants_can_have_the_source_rate(taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path) -> None:
     store, ref, _ = taken
     read = [store.read(ref, table) for table in ("takes", "poses")]
     rows, poses = ({name: table[name] for name in table.column_names} for table in read)

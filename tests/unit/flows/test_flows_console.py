@@ -278,9 +278,7 @@ def test_a_mixture_of_runs_is_no_dataset(tmp_path: Path, store: Store, invoke_to
         ("run --nope", "No such option"),
     ],
 )
-def test_bad_input_is_one_sentence_and_exit_code_2(
-    built: tuple[str, str], toys: CommandLine, words: str, sentence: str
-) -> None:
+def test_bad_input_is_one_sentence(built: tuple[str, str], toys: CommandLine, words: str, sentence: str) -> None:
     said = toys.refusal(*words.format(study=built[0]).split())
     assert sentence in said
     assert "Traceback" not in said
@@ -368,9 +366,7 @@ def test_numbers_get_their_nouns_in_one_place(package: str) -> None:
     assert by_file == {}, "`counted` does it"
 
 
-def test_only_long_work_says_that_it_goes_on(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_work_says_that_it_goes_on(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     with busy("reading"):
         pass
     assert capsys.readouterr().err == ""

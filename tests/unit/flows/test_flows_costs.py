@@ -102,9 +102,7 @@ def test_a_new_shard_takes_what_others_of_its_stage_took(toy_store: Store, tmp_p
     assert more.num_measured == 7
 
 
-def test_what_only_a_cost_knows_is_refused_without_one(
-    toy_store: Store, tmp_path: Path, invoke_toys: CommandLine
-) -> None:
+def test_options_of_costs_are_refused_without(toy_store: Store, tmp_path: Path, invoke_toys: CommandLine) -> None:
     plan = invoke_toys.of("plan", write_study(tmp_path)).at(tmp_path / "new")
     assert "--measured are for --cost; give that too" in plan.refusal("--workers", "9")
     assert "14 shards" in plan("--measured", toy_store, "--cost", "--workers", "2").out

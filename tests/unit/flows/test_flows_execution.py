@@ -438,9 +438,7 @@ def flip(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_command(
-    toy_store: Store, tmp_path: Path
-) -> None:
+def test_a_flipped_bit_is_named_and_its_artifact_computed_again(toy_store: Store, tmp_path: Path) -> None:
     study, store = write_study(tmp_path), toy_store.root
     before = digests(store)["bend"]
     flip(next(store.glob("bend/*/*/models.parquet")))
@@ -452,9 +450,7 @@ def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_co
     assert verify(Store(store)).is_ok
 
 
-def test_what_cannot_be_read_for_a_moment_stays(
-    toy_store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_read_once_stays(toy_store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study, store = write_study(tmp_path), toy_store.root
     there = names(store)
 

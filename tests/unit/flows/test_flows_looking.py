@@ -62,9 +62,7 @@ def test_the_display_keeps_its_columns_and_lines_break_at_words(width: int, monk
     assert [line for line in screen.lines if line] == said
 
 
-def test_lines_for_a_terminal_break_at_words_and_lines_for_a_file_do_not(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_only_terminal_lines_break(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     say([f"  {LONG}"])
     assert capsys.readouterr().out == f"  {LONG}\n"
     monkeypatch.setenv("COLUMNS", "60")

@@ -193,9 +193,7 @@ def test_a_forced_stage_leaves_what_a_dataset_needs_and_says_what_to_do(study: P
     assert digests(new) == before
 
 
-def test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again(
-    study: Path, store: Path, tmp_path: Path
-) -> None:
+def test_shards_behind_a_forced_one_are_computed_again(study: Path, store: Path, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="killed"):
         run_toys(study, store, selection=StageSelection(force=("grow",)), graph=with_longer_steps(fail_at="s1"))
     plan = plan_toys(study, store)

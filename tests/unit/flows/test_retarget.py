@@ -121,9 +121,7 @@ def test_three_files_and_one_take_as_many_bodies(
         np.testing.assert_allclose(lengths_m(tmp_path / f"out/a_retarget.{letter}.bvh", ELBOWS), wanted, atol=1e-4)
 
 
-def test_bodies_are_read_from_a_table_and_an_asf(
-    waltz: str, files: Path, tmp_path: Path, retarget: CommandLine
-) -> None:
+def test_bodies_come_from_a_table_and_an_asf(waltz: str, files: Path, tmp_path: Path, retarget: CommandLine) -> None:
     said = retarget(waltz, "--to", files / "legs.csv", "--to", files / "90.asf", "--rest-pose", "standing").out
     (row,) = (line for line in said.splitlines() if line.startswith("A "))
     assert "legs.csv" in row
@@ -134,9 +132,7 @@ def test_bodies_are_read_from_a_table_and_an_asf(
 
 
 @pytest.mark.parametrize(("body", "is_torn"), [("torn.csv", True), ("legs.csv", False)])
-def test_a_body_that_contradicts_itself_is_warned_of(
-    waltz: str, files: Path, retarget: CommandLine, body: str, is_torn: bool
-) -> None:
+def test_a_torn_body_is_warned_of(waltz: str, files: Path, retarget: CommandLine, body: str, is_torn: bool) -> None:
     assert ("the body for person A is missed by" in retarget(waltz, "--to", files / body).err) is is_torn
 
 

@@ -155,7 +155,7 @@ def test_a_table_is_read_whatever_other_stages_have_lost(store: Store, refs: lis
         resolve("draws:both", store)
 
 
-def test_the_default_store_is_named_by_the_environment(
+def test_the_environment_names_the_store(
     store: Store, refs: list[ArtifactRef], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PASDEDEUX_STORE", str(store.root))

@@ -375,9 +375,7 @@ def test_another_package_is_refused(given: ClusterSettings, tmp_path: Path, monk
     assert_refused(given, tmp_path, words)
 
 
-def test_other_instructions_are_refused(
-    given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_processors_are_refused(given: ClusterSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CPU_NAME", "haswell")
     assert_refused(given, tmp_path, r"has NUMBA_CPU_NAME not set, here it is haswell: results would differ")
 

@@ -446,6 +446,9 @@ def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
 def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         AugmentationParameters(**parameters)
+
+
+def test_models_and_sweeps_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValidationError, match="known models"):
         TrainingParameters(models=("oracle",))
     refined = {"models": ["mesh_refine"], "mesh_refine": {"start": "copy"}, "splits": ["random"]}

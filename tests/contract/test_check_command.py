@@ -28,7 +28,6 @@ from pasdedeux.skeletons.layouts import LAYOUTS
 from storage_schema import Store
 from tests.builders.browser import in_browser
 from tests.builders.pages import Page
-from tests.builders.rigs import RIGS
 from tests.builders.stored_datasets import VARIANTS, put_dataset
 
 SAID = {
@@ -210,29 +209,6 @@ def test_the_page_shows_the_worst_in_players_at_any_width(page_folder: Path, tmp
     for width in (1280, 400):
         answer = in_browser(page.text, probe, tmp_path, width=width)
         assert answer == {"found": [True, len(page.scenes)], "errors": []}
-
-
-def test_the_naming_of_the_augmentation_paper_is_read_by_check_study_new_and_plan(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    head, _, frames = next(rig for rig in RIGS if rig.layout == "points17").bvh().partition("Frame Time")
-    assert "RghtHand" in head
-    time, *rows_of_a = frames.strip().splitlines()
-    shifted = [f"{float(row.split()[0]) + 30} {row.split(maxsplit=1)[1]}" for row in rows_of_a]
-    for letter, lines in (("A", rows_of_a), ("B", shifted)):
-        (tmp_path / f"pair_{letter}.bvh").write_text("\n".join([f"{head}Frame Time{time}", *lines]) + "\n")
-    code, rows = check(tmp_path, tmp_path)
-    assert code == 0
-    person = rows["pair"]["people"][0]
-    assert (person["layout"], person["metres_per_unit"]) == ("points17", pytest.approx(0.0254))
-    assert person["stature_m"] == pytest.approx(1.7, abs=0.15)
-    study = tmp_path / "mine.toml"
-    files = [word for letter in "AB" for word in ("--from", str(tmp_path / f"pair_{letter}.bvh"))]
-    assert run_command_line(["study", "new", str(study), *files]) == 0
-    assert 'layout = "points17"' in study.read_text()
-    study.write_text(study.read_text().replace("# metres_per_unit", "metres_per_unit"))
-    assert run_command_line(["plan", str(study), "--store", str(tmp_path / "store")]) == 0
-    assert "ingest" in capsys.readouterr().out
 
 
 def test_the_folder_of_a_dataset_is_checked_with_its_own_sources(store: Store, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -60,23 +61,28 @@ def splits_of(folder: Path, table: str) -> dict[str, int]:
     return {path.name.split("-")[0]: pq.read_metadata(path).num_rows for path in found}
 
 
+def run_script(script: str, path: Path, **environment: str) -> Any:
+    """Run a script on a path in a process of its own, and return what it prints last, as JSON."""
+    command, surroundings = [sys.executable, "-c", script, str(path)], os.environ | environment
+    ended = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=False, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout.splitlines()[-1])
+
+
 def test_mlcroissant_reads_every_record_set(folder: Path) -> None:
-    script = (
-        "import json, sys, warnings\n"
-        "warnings.simplefilter('ignore')\n"
-        "import mlcroissant as mlc\n"
-        "dataset = mlc.Dataset(sys.argv[1])\n"
-        "assert not dataset.metadata.issues.errors, dataset.metadata.issues.report()\n"
-        "assert dataset.metadata.ctx.is_v1_1() and dataset.metadata.data_limitations\n"
-        "found = {one.id: sum(1 for _ in dataset.records(one.id)) for one in dataset.metadata.record_sets}\n"
-        "fields = [field for one in dataset.metadata.record_sets for field in one.fields]\n"
-        "shapes = {field.id: field.array_shape_tuple for field in fields if field.is_array}\n"
-        "print(json.dumps([found, shapes]))\n"
-    )
-    command = [sys.executable, "-c", script, str(folder / "croissant.json")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    found, shapes = json.loads(done.stdout.splitlines()[-1])
+    script = """
+import json, sys, warnings
+warnings.simplefilter("ignore")
+import mlcroissant as mlc
+dataset = mlc.Dataset(sys.argv[1])
+assert not dataset.metadata.issues.errors, dataset.metadata.issues.report()
+assert dataset.metadata.ctx.is_v1_1() and dataset.metadata.data_limitations
+counts = {record.id: sum(1 for _ in dataset.records(record.id)) for record in dataset.metadata.record_sets}
+fields = [field for record in dataset.metadata.record_sets for field in record.fields]
+shapes = {field.id: field.array_shape_tuple for field in fields if field.is_array}
+print(json.dumps([counts, shapes]))
+"""
+    found, shapes = run_script(script, folder / "croissant.json")
     tables = [path.name for path in (folder / "data").iterdir()]
     assert found == {f"{table}-rows": sum(splits_of(folder, table).values()) for table in tables}
     assert shapes["variants-rows/body22_m"] == [22, 3]
@@ -84,21 +90,16 @@ def test_mlcroissant_reads_every_record_set(folder: Path) -> None:
 
 
 def test_the_library_datasets_streams_each_split_of_each_table(folder: Path, tmp_path: Path) -> None:
-    script = (
-        "import json, sys, datasets\n"
-        "found = {}\n"
-        "for table in datasets.get_dataset_config_names(sys.argv[1]):\n"
-        "    streams = datasets.load_dataset(sys.argv[1], table, streaming=True)\n"
-        "    found[table] = {split: sum(1 for _ in rows) for split, rows in streams.items()}\n"
-        "default = datasets.load_dataset(sys.argv[1], streaming=True)\n"
-        "found['default'] = {split: sum(1 for _ in rows) for split, rows in default.items()}\n"
-        "print(json.dumps(found))\n"
-    )
+    script = """
+import json, sys, datasets
+counts = {}
+for table in [*datasets.get_dataset_config_names(sys.argv[1]), None]:
+    streams = datasets.load_dataset(sys.argv[1], table, streaming=True)
+    counts[table or "default"] = {split: sum(1 for _ in rows) for split, rows in streams.items()}
+print(json.dumps(counts))
+"""
     offline = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1", "HF_HOME": str(tmp_path / "cache")}
-    command = [sys.executable, "-c", script, str(folder)]
-    done = subprocess.run(command, env=os.environ | offline, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    found = run_script(script, folder, **offline)
     assert found.pop("default") == splits_of(folder, "variants")
     assert found == {path.name: splits_of(folder, path.name) for path in (folder / "data").iterdir()}
 

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import typer
@@ -29,28 +30,23 @@ print("LOADED", *sorted(name for name in sys.modules if name.partition(".")[0] i
 """
 
 
+def run_python(script: str, *arguments: str, environment: Mapping[str, str] = os.environ) -> str:
+    """Run a script in the checkout and return what it prints."""
+    command = [sys.executable, "-c", script, *arguments]
+    ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
 def loaded(names: set[str], *arguments: str) -> list[str]:
     """Return which of these packages a command has imported."""
-    found = subprocess.run(
-        [sys.executable, "-c", _PROBE.format(names=names), *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert "CODE 0" in found.stdout, found.stdout + found.stderr
-    return found.stdout.splitlines()[-1].split()[1:]
+    printed = run_python(_PROBE.format(names=names), *arguments)
+    assert "CODE 0" in printed
+    return printed.splitlines()[-1].split()[1:]
 
 
 def test_imports_run_one_way() -> None:
-    found = subprocess.run(
-        [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert found.returncode == 0, found.stdout + found.stderr
+    run_python("from importlinter.cli import lint_imports_command; lint_imports_command()")
 
 
 def test_only_the_shards_of_the_tasks_speak_to_dask() -> None:
@@ -76,13 +72,9 @@ def test_planning_every_stage_imports_nothing_heavy(tmp_path: Path) -> None:
 
 
 def test_help_imports_neither_the_science_nor_what_it_stands_on() -> None:
-    own = {"pasdedeux", "storage_schema", "tasks"}
-    light = [
-        "pasdedeux",
-        "pasdedeux.plain_text",
-        "pasdedeux.threads",
-    ]  # names of variables that must be set before numpy is imported
-    assert loaded(own | {"numpy", "pyarrow", "pydantic"}, "--help") == light
+    # Names of variables that must be set before numpy is imported.
+    light = ["pasdedeux", "pasdedeux.plain_text", "pasdedeux.threads"]
+    assert loaded({"pasdedeux", "storage_schema", "tasks", "numpy", "pyarrow", "pydantic"}, "--help") == light
 
 
 def test_what_stands_for_a_command_until_it_is_called_is_what_its_module_adds() -> None:
@@ -111,7 +103,4 @@ print(sorted({pool["num_threads"] for pool in threadpool_info()}))
     names = {name: value for name, value in os.environ.items() if name not in THREAD_VARIABLES}
     two = dict.fromkeys(THREAD_VARIABLES, "2")
     for stated, threads in ({}, "[1]"), (two, "[2]"), ({"OMP_NUM_THREADS": "2"}, "[2]"):
-        said = subprocess.run(
-            [sys.executable, "-c", script], cwd=ROOT, env=names | stated, capture_output=True, text=True, check=True
-        )
-        assert said.stdout.splitlines()[-1] == threads
+        assert run_python(script, environment=names | stated).splitlines()[-1] == threads

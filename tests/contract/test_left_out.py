@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -79,16 +78,21 @@ TOPIC = Topic("toys", "Toys", "How many there are.", READS, plan_toys, count_toy
 EVALUATION = evaluation_stage([TOPIC])
 
 
+def report_of(store: Store, inputs: StageInputs) -> Manifest:
+    *topics, report = EVALUATION.plan(inputs, EVALUATION.parameters())
+    for shard in topics:
+        EVALUATION.run_shard(shard, store)
+    return store.manifest(EVALUATION.run_shard(report, store))
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_what_was_skipped_is_said_in_card_page_and_console(tmp_path: Path, kind: Commit) -> None:
-    store = Store(tmp_path / "store")
+def test_what_was_skipped_is_said_in_card_page_and_console(store: Store, kind: Commit) -> None:
     kind(store)
     graph = Graph((*(stage for stage in load_graph().stages if stage.name != "evaluation"), EVALUATION))
     made: dict[str, list[Manifest]] = {name: [] for name in graph.upstream["evaluation"]}
     for manifest in store.artifacts():
         made[manifest.ref.stage].append(manifest)
-    planned = EVALUATION.plan(stage_inputs(EVALUATION, 0, made), EVALUATION.parameters())
-    *_, report = [store.manifest(EVALUATION.run_shard(shard, store)) for shard in planned]
+    report = report_of(store, stage_inputs(EVALUATION, 0, made))
     page, card = (store.attachment(report.ref, name).decode() for name in ("report.html", "card.md"))
     console = "\n".join(summary_of(list(store.artifacts())).lines())
     for text in (html.unescape(page), card, console):
@@ -97,11 +101,9 @@ def test_what_was_skipped_is_said_in_card_page_and_console(tmp_path: Path, kind:
     assert "Nothing was skipped." not in page
 
 
-def test_a_store_in_which_nothing_was_skipped_says_so(tmp_path: Path) -> None:
-    store = Store(tmp_path / "store")
+def test_a_store_in_which_nothing_was_skipped_says_so(store: Store) -> None:
     columns, facts = take_rows("waltz", 2, 2)
     take = put(store, "ingest", "waltz", {"poses": columns}, facts)
-    planned = EVALUATION.plan(StageInputs({"poses": [take]}, seed=0), EVALUATION.parameters())
-    *_, report = [store.manifest(EVALUATION.run_shard(shard, store)) for shard in planned]
+    report = report_of(store, StageInputs({"poses": [take]}, seed=0))
     assert "## Skipped\n\n- Nothing." in store.attachment(report.ref, "card.md").decode()
     assert not [line for line in summary_of([take]).lines() if line.startswith("skipped")]

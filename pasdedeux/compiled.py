@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import logging
 import os
 import pickle
@@ -133,6 +134,7 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
         with (
             global_compiler_lock,
             _alone(dispatcher.stats.cache_path, f"{function.__module__}.{function.__qualname__}"),
+            _uncollected(),
         ):
             if files is not None:
                 _drop_old_code(files)
@@ -166,6 +168,18 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
         if handle is not None:
             _LOCKED.discard(name)
             os.close(handle)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Pause the garbage collector, which takes a seventh of the time of compiling and finds little to free."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _wait_for(handle: int, name: str) -> None:

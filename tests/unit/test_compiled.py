@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import importlib.util
 import os
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from threading import Barrier, Event
 from typing import Any
@@ -17,6 +19,7 @@ import numpy as np
 import pytest
 from numba import config
 from numba.core.caching import IndexDataCacheFile
+from numba.core.errors import TypingError
 
 from pasdedeux import compiled as compiling
 from pasdedeux.compiled import compiled
@@ -170,6 +173,24 @@ def test_old_code_is_never_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for hits in (0, 1):
         again = kernel(tmp_path, 20.0)
         assert (again(3.0), num_hits(again)) == (60.0, hits)
+
+
+@pytest.mark.parametrize("is_on", [True, False])
+def test_the_garbage_collector_pauses_while_a_kernel_compiles_and_is_then_as_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_on: bool
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    scale, seen = kernel(tmp_path), list[bool]()
+    monkeypatch.setattr(compiling, "_drop_old_code", lambda _: seen.append(gc.isenabled()))
+    try:
+        gc.enable() if is_on else gc.disable()
+        for argument in (3.0, "three"):  # text cannot be multiplied by a number: compiling fails
+            with suppress(TypingError):
+                scale(argument)
+        assert gc.isenabled() == is_on
+    finally:
+        gc.enable()
+    assert seen == [False, False]
 
 
 def refuse(*_: object) -> None:

@@ -133,13 +133,54 @@ def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> No
         left = lanes
         while 2 * left < last - first:
             left *= 2
-        part, values = order[first:last].copy(), np.empty(last - first, dtype=np.float32)
+        part, values = order[first:last], np.empty(last - first, dtype=np.float32)
         for at in range(last - first):
             values[at] = flat[part[at], widest]
-        order[first:last] = part[np.argpartition(values, left)]
+        _split(values, part, left)
         stack[depth, 0], stack[depth, 1] = first + left, last
         stack[depth + 1, 0], stack[depth + 1, 1] = first, first + left
         depth += 2
+
+
+@inner_kernel()
+def _split(values: Floats32, order: Integers32, left: int) -> None:
+    """Order values and their numbers until none of the first `left` is greater than any other [Hoare 1961].
+
+    Ties end up where `np.argpartition` in a kernel puts them, which takes 7 s to compile.
+    """
+    low, high = 0, len(values) - 1
+    while True:
+        middle = (low + high) >> 1
+        # The pivot is the median of three.
+        for lower, upper in ((low, middle), (middle, high), (low, middle)):
+            if values[upper] < values[lower]:
+                _swap(values, order, lower, upper)
+        pivot = values[middle]
+        _swap(values, order, middle, high)
+        at, end = low, high - 1
+        while True:
+            while at < high and values[at] < pivot:
+                at += 1
+            while end >= low and pivot < values[end]:
+                end -= 1
+            if at >= end:
+                break
+            _swap(values, order, at, end)
+            at += 1
+            end -= 1
+        _swap(values, order, at, high)
+        if at == left:
+            break
+        if at < left:
+            low = at + 1
+        else:
+            high = at - 1
+
+
+@inner_kernel()
+def _swap(values: Floats32, order: Integers32, one: int, other: int) -> None:
+    values[one], values[other] = values[other], values[one]
+    order[one], order[other] = order[other], order[one]
 
 
 @compiled()

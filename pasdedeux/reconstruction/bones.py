@@ -111,7 +111,7 @@ def _bone_rotations(positions: Array) -> Array:
         left = normalise(across)
         world = np.empty((pose.shape[0], 4))
         put_unitquat(local[at], _NECK, unitquat_from_axes(left, up, cross(left, up)))
-        world[_NECK] = local[at, _NECK]
+        put_unitquat(world, _NECK, unitquat_of(local[at], _NECK))
         for joint in _ORDER:
             before = unitquat_of(world, _PARENTS[joint])
             bone = rotate(conjugate(before), subtract(row_of(pose, joint), row_of(pose, _PARENTS[joint])))

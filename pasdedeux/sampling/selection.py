@@ -174,7 +174,11 @@ def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-unt
             kept.weight[nearest] += new.weight[row]
             last = nearest
         else:
-            kept.points[count], kept.lengths[count] = new.points[row], new.lengths[row]
+            # Loops: in kernels, an array assigned to another takes 3 s to compile, for its error message.
+            for k in range(new.lengths.shape[1]):
+                kept.lengths[count, k] = new.lengths[row, k]
+                for axis in range(3):
+                    kept.points[count, k, axis] = new.points[row, k, axis]
             kept.weight[count], kept.number[count] = new.weight[row], new.number[row]
             is_new[row] = True
             last = count

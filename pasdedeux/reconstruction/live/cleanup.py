@@ -105,11 +105,10 @@ class LiveCleanUp:
         return _clean_pose(positions_m, passed_s, self.floor_m, *feet)
 
 
-@compiled()
 def _low_quantile(values: Array, share: float) -> float:
     """Return the value below which this share of the finite values lies."""
     known = np.sort(values[np.isfinite(values)])
-    return known[int(share * (known.shape[0] - 1))]
+    return float(known[int(share * (len(known) - 1))])
 
 
 @compiled()

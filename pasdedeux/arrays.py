@@ -14,6 +14,19 @@ Flags = npt.NDArray[np.bool_]
 _Item = TypeVar("_Item", bound=np.generic)
 
 
+def plain(array: npt.NDArray[_Item], dtype: type[np.generic] | None = None) -> npt.NDArray[Any]:
+    """Return an array as kernels take it, contiguous and writable; it is copied if it is not.
+
+    A kernel compiles again, for about a second, for each layout, and for arrays that are read-only.
+
+    >>> view = np.broadcast_to(np.arange(3.0), (2, 3))
+    >>> (plain(view).flags.c_contiguous, plain(view).flags.writeable, plain(plain(view)) is plain(view))
+    (True, True, False)
+    """
+    kept = np.asarray(array, dtype=dtype, order="C")
+    return kept if kept.flags.writeable else kept.copy()
+
+
 def merge_axes(array: npt.NDArray[_Item], start: int, stop: int | None = None) -> npt.NDArray[_Item]:
     """Merge axes `start` to `stop`, exclusive, into one; without `stop` to the last.
 

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, Flags, Integers
+from pasdedeux.arrays import Array, Flags, Integers, plain
 from pasdedeux.augmentation.bulk_kernels import (
     Batch,
     BonePairs,
@@ -280,7 +280,7 @@ class _Acceleration:
 
     def select(self, variants: npt.NDArray[np.intp]) -> None:
         """Go on with some of the variants."""
-        self._memory, self._gram = Memory(*_select(self._memory, variants)), self._gram[..., variants]
+        self._memory, self._gram = Memory(*_select(self._memory, variants)), plain(self._gram[..., variants])
 
     def mix(self, now: Batch) -> None:
         """Subtract from the state the part of this change that the last moves explain."""
@@ -427,4 +427,4 @@ def _edge_penalties(problem: MeshProblem, edges: Integers) -> Array:
     at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), at_ends)
     stiffness = contact[:, edges[:, 0]] + contact[:, edges[:, 1]]
-    return np.asarray(_PENALTY * LAPLACIAN + _CONTACT_PENALTY * stiffness)
+    return plain(_PENALTY * LAPLACIAN + _CONTACT_PENALTY * stiffness)

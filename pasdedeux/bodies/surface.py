@@ -233,7 +233,7 @@ def mesh_of(cones: Cones, num_vertices: int = NUM_VERTICES) -> tuple[Array, Inte
     near = (2 * np.argwhere(np.abs(blocks) < _NEAR * voxel)[:, None] + corners).reshape(-1, 3)
     eight = (blocks.shape[0], 2, blocks.shape[1], 2, blocks.shape[2], 2)
     volume = np.broadcast_to(blocks[:, None, :, None, :, None], eight).reshape(2 * np.array(blocks.shape))
-    volume[tuple(near.T)] = surface_field(low + voxel * near, *shape)
+    volume[tuple(near.T)] = surface_field(low + voxel * near, *shape, math.inf)
     vertices, faces, *_ = marching_cubes(volume, 0.0, gradient_direction="descent", allow_degenerate=False)
     points = low + voxel * vertices.astype(np.float64)
     normals = carry_onto(points, *shape, voxel)

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, plain
 from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import cross, divide, length, normalise, put_row, row_of, subtract
 from pasdedeux.skeletons import Skeleton
@@ -25,7 +25,7 @@ class BoneState:
 
 @dataclass(frozen=True)
 class Topology:
-    """The structure of a forest of N points, without lengths; do not write to it.
+    """The structure of a forest of N points, without lengths; its arrays are read-only.
 
     Args:
         parents: Parent of each point (N,), -1 for roots.
@@ -66,7 +66,7 @@ def topology_of(skeletons: tuple[Skeleton, ...]) -> Topology:
     starts = np.concatenate([[0], np.cumsum(np.where(parents < 0, 3, 2))])
     related = np.argwhere((carries > 0) | (carries.T > 0))
     unknown_points = np.repeat(np.arange(len(parents)), np.diff(starts))
-    return Topology(
+    topology = Topology(
         parents=parents,
         order=order,
         roots=np.flatnonzero(parents < 0),
@@ -77,6 +77,9 @@ def topology_of(skeletons: tuple[Skeleton, ...]) -> Topology:
         unknown_points=unknown_points,
         unknown_columns=np.arange(starts[-1]) - starts[:-1][unknown_points],
     )
+    for values in vars(topology).values():
+        values.flags.writeable = False  # as kernels see those that a module holds
+    return topology
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,8 @@ class BoneForest:
 
     def state_of(self, positions_m: Array) -> BoneState:
         """Read roots and directions off positions (frame, N, 3); a bone of length zero points up."""
-        directions = directions_of(positions_m, self.topology.parents)
-        return BoneState(roots_m=positions_m[:, self.topology.roots], directions=directions)
+        directions = directions_of(plain(positions_m), self.topology.parents)
+        return BoneState(roots_m=np.take(positions_m, self.topology.roots, axis=1), directions=directions)
 
     def positions(self, state: BoneState) -> Array:
         """Return positions (frame, N, 3), metres."""
@@ -115,7 +118,7 @@ class BoneForest:
         """Apply a step (frame, n): translate roots, move directions along their tangents, and normalise them."""
         shape = self.topology
         first = shape.starts[shape.roots]
-        roots = state.roots_m + step[:, first[:, None] + np.arange(3)]
+        roots = state.roots_m + np.take(step, first[:, None] + np.arange(3), axis=1)
         return BoneState(roots, turn_bones(state.directions, tangents, step, shape.parents, shape.starts))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, plain
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import NotPositiveDefinite, solve_blocks
@@ -157,7 +157,7 @@ def _reduce(
         if frames > lag:
             _reduce_between(carried[lag], basis, shape.related, shape.further, starts, lag, below)
     for points, shares, weights, unit in normal.stencils:
-        _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
+        _add_stencils(plain(points), plain(shares), plain(weights), plain(unit), carries, basis, starts, diagonal)
     return diagonal, below, gradient
 
 

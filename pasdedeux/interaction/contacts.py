@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.arrays import Array, merge_axes
+from pasdedeux.arrays import Array, merge_axes, plain
 from pasdedeux.compiled import compiled
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
@@ -310,8 +310,8 @@ def stencil_vectors(points: Indices, shares: Array, points_m: Array) -> Array:
         points_m: Joints (*batch, T, n, 3), metres.
     """
     batch = points_m.shape[:-3]
-    flat = np.ascontiguousarray(points_m).reshape(-1, *points_m.shape[-3:])
-    return np.asarray(_sum_up(flat, points, shares).reshape(*batch, *points.shape[:2], 3))
+    flat = plain(points_m, np.float64).reshape(-1, *points_m.shape[-3:])
+    return np.asarray(_sum_up(flat, plain(points), plain(shares)).reshape(*batch, *points.shape[:2], 3))
 
 
 @compiled()

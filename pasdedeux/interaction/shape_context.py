@@ -116,7 +116,7 @@ class ShapeCoverage:
         """Take more pairs into account, of which `shape_bins` gave these."""
         gains = shared_gains(self._counts.shape[1] - 1)
         sums = np.insert(gains.cumsum(axis=0), 0, 0.0, axis=0)
-        lower_shape_minima(self._counts, bins.astype(np.uint16), gains, sums, self._best)
+        lower_shape_minima(self._counts, np.ascontiguousarray(bins, dtype=np.uint16), gains, sums, self._best)
 
     @property
     def shape(self) -> Array:

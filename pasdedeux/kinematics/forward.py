@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, plain
 from pasdedeux.kinematics.alignment import best_rotation
 from pasdedeux.kinematics.forward_kernel import carry_out
 from pasdedeux.kinematics.rotations import (
@@ -35,9 +35,10 @@ def forward_kinematics(
     Returns:
         World positions (*batch, J, 3) in metres and world rotations (*batch, J, 4).
     """
-    local, joints = np.ascontiguousarray(local_unitquat, dtype=np.float64), skeleton.num_joints
+    local, joints = plain(local_unitquat, np.float64), skeleton.num_joints
     batch = local.shape[:-2]
-    roots = np.ascontiguousarray(np.broadcast_to(root_translation_m, (*batch, 3)), dtype=np.float64)
+    roots = np.empty((*batch, 3))
+    roots[...] = root_translation_m
     offsets = np.asarray(rest_offsets_m, dtype=np.float64)
     if offsets.ndim > 2:
         offsets = np.broadcast_to(offsets, (*batch, joints, 3))
@@ -45,7 +46,7 @@ def forward_kinematics(
     positions, world = carry_out(
         np.array(bones, dtype=np.int64).reshape(-1, 2),
         skeleton.root,
-        np.ascontiguousarray(offsets).reshape(-1, joints, 3),
+        plain(offsets).reshape(-1, joints, 3),
         roots.reshape(-1, 3),
         local.reshape(-1, joints, 4),
     )

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, plain
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, row_of, subtract, weighted_sum
@@ -87,10 +87,11 @@ class CapsuleModel:
             radii_m: Radii of each person's bones, (person, J), metres; by default from the leg lengths of each pose.
         """
         *batch, num_people, _, _ = np.shape(people_m)
-        people = np.ascontiguousarray(people_m, dtype=np.float64).reshape(-1, num_people, self.skeleton.num_joints, 3)
+        people = plain(people_m, np.float64).reshape(-1, num_people, self.skeleton.num_joints, 3)
         if radii_m is None:
             radii_m = self.radii_m(body_height_m(self.skeleton, bone_lengths(self.skeleton, people)))
-        radii = np.ascontiguousarray(np.broadcast_to(radii_m, people.shape[:-1]))
+        radii = np.empty(people.shape[:-1])
+        radii[...] = radii_m
         sums = _penetrations(people, radii, self.parents, self.within, self.between)
         return np.asarray(sums.reshape(*batch, num_people + 1))
 

@@ -146,7 +146,7 @@ def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> No
 def _split(values: Floats32, order: Integers32, left: int) -> None:
     """Order values and their numbers until none of the first `left` is greater than any other [Hoare 1961].
 
-    Ties end up where `np.argpartition` in a kernel puts them, which takes 7 s to compile.
+    Ties end up where `np.argpartition` in a kernel puts them, which takes 6 s to compile.
     """
     low, high = 0, len(values) - 1
     while True:

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Flags
+from pasdedeux.arrays import Array, Flags, plain
 from pasdedeux.compiled import compiled, inner_kernel
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
@@ -106,7 +106,8 @@ def clean_up(positions_m: Array, *, rate_hz: float, is_present: Flags | None = N
         facing = _facings(np.ascontiguousarray(pose))
         for side, (hip, knee, ankle) in enumerate(_LEGS):
             target = _targets(pose[:, ankle], is_planted[:, person, side], floor, rate_hz)
-            pose[:, knee], pose[:, ankle] = bend_leg(pose[:, hip], pose[:, knee], pose[:, ankle], target, facing)
+            leg = (plain(pose[:, joint]) for joint in (hip, knee, ankle))
+            pose[:, knee], pose[:, ankle] = bend_leg(*leg, target, facing)
     batch = positions_m.shape[:-2]
     return CleanedMotion(
         positions.reshape(positions_m.shape), is_planted.reshape(*batch, 2), shift.reshape(*batch, 3), floor

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, plain
 from pasdedeux.compiled import compiled
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
@@ -36,6 +36,7 @@ _GROUP_SIZES = np.array([len(group) for group in _SIGN_GROUPS])
 _FIRST_JOINT = np.concatenate([[0], np.cumsum(_GROUP_SIZES)])
 _FIRST_STATE = np.concatenate([[0], np.cumsum(2**_GROUP_SIZES)])
 _NUM_SIGN_STATES = int(_FIRST_STATE[-1])
+_MOST_STATES = int(2 ** _GROUP_SIZES.max())
 """Number of choices of signs of all groups; states list one group after the other."""
 
 _MIN_WEIGHT = 1e-12
@@ -99,7 +100,7 @@ def vote_on_signs(
         passed_s: Time since the frame before.
     """
     vectors, log_weight = bone_vectors(candidates_m), -misfit_m / _MISFIT_M
-    size, deviation, score = _vote_signs(image_m, vectors, log_weight, noise_m)
+    size, deviation, score = _vote_signs(plain(image_m), vectors, log_weight, noise_m)
     if before is None:
         cost, back = -score, np.zeros(_NUM_SIGN_STATES, dtype=np.int64)
     else:
@@ -190,7 +191,7 @@ def _extend_signs(
     `moved` is the usual motion of the end in depth between the frames.
     """
     cost, back = np.empty(_NUM_SIGN_STATES), np.zeros(_NUM_SIGN_STATES, dtype=np.int64)
-    change = np.empty(1 << _GROUP_SIZES.max())
+    change = np.empty(_MOST_STATES)
     for group in range(_GROUP_SIZES.shape[0]):
         bones, first = _GROUP_SIZES[group], _FIRST_STATE[group]
         for state in range(1 << bones):

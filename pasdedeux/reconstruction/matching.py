@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.arrays import Array, Integers
+from pasdedeux.arrays import Array, Integers, plain
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.published import Clusters, PublishedIndex
@@ -128,7 +128,7 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
     window = odd_window(_SCALE_WINDOW_S, track.rate_hz)
     scale = options.metres_per_pixel
     first = place_track(centred, weights, searcher.reference, window=window, metres_per_pixel=scale)
-    straight, towards = straighten_rays(centred, first.mid_hip_px, track.lens.focal_px)
+    straight, towards = straighten_rays(plain(centred), first.mid_hip_px, track.lens.focal_px)
     placement = place_track(straight, weights, searcher.reference, window=window, metres_per_pixel=scale)
     proportions = np.ones(OP14.num_joints)
     for round_number in range(_NUM_PLACEMENTS):

@@ -160,7 +160,8 @@ class ViewedImages:
         )
         self._squares = (images**2).sum(axis=(1, 2))
         self._num_missing = (~is_seen).sum(axis=1)
-        self._missing = np.argsort(is_seen, axis=1, kind="stable")[:, : self._num_missing.max(initial=0)]
+        missing_first = np.argsort(is_seen, axis=1, kind="stable")
+        self._missing = np.ascontiguousarray(missing_first[:, : self._num_missing.max(initial=0)])
 
     def residuals(self, pair_m: Array) -> Array:
         """Return the distance of a pair (2, 17, 3), metres, under the views from the images, (entry,), metres.

@@ -174,7 +174,7 @@ def _keep(new, row, stop, kept, count, radius_m, is_new):  # type: ignore[no-unt
             kept.weight[nearest] += new.weight[row]
             last = nearest
         else:
-            # Loops: in kernels, an array assigned to another takes 3 s to compile, for its error message.
+            # Loops: in kernels, an array assigned to another takes seconds to compile, for its error message.
             for k in range(new.lengths.shape[1]):
                 kept.lengths[count, k] = new.lengths[row, k]
                 for axis in range(3):

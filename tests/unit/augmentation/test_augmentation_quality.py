@@ -84,17 +84,15 @@ def test_drift_is_that_of_each_kind_of_contact_in_the_frames_in_which_it_is_held
         variant[:, 1, BODY22.index(joint_b)] += drift_m * away
         plain[:, 1, BODY22.index(joint_b)] += 0.09 * away
     squared = np.linspace(0.0, 9e-4, 10)
-    quality, frames_of = _measure(
-        Source(apart, 30.0), variant, plain=plain, contacts=contacts, squared_residual=squared
-    )
+    quality, by_frame = _measure(Source(apart, 30.0), variant, plain=plain, contacts=contacts, squared_residual=squared)
     assert quality.num_contact_pairs == 17
     kinds = quality.contact_drift_extremity_m, quality.contact_drift_mixed_m, quality.contact_drift_body_m
     assert kinds == pytest.approx((0.03, 0.02, 0.01))
     assert (quality.contact_drift_m, quality.contact_drift_fk_m) == pytest.approx((0.42 / 17, 0.09))
     assert quality.contact_drift_p95_m == pytest.approx(0.03)
-    np.testing.assert_allclose(frames_of.contact_drift_m, [*[0.02] * 2, *[0.025] * 3, *[0.03] * 5])
+    np.testing.assert_allclose(by_frame.contact_drift_m, [*[0.02] * 2, *[0.025] * 3, *[0.03] * 5])
     assert quality.laplacian_error_m == pytest.approx(np.sqrt(4.5e-4))
-    np.testing.assert_allclose(frames_of.laplacian_error_m[[0, -1]], [0.0, 0.03])
+    np.testing.assert_allclose(by_frame.laplacian_error_m[[0, -1]], [0.0, 0.03])
 
 
 def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:

@@ -63,11 +63,9 @@ def test_known_contacts_are_stated_for_any_rate(duet):
         positions = np.stack([motion.resample(rate_hz).world()[0] for motion in duet.motions], axis=1)
         stated = duet.known_contacts(rate_hz)
         contacts = stated_contacts(stated, len(positions), BODY22)
-        distances = np.linalg.norm(contacts.vectors(positions.reshape(len(positions), -1, 3)), axis=-1)[
-            contacts.is_held
-        ]
+        apart_m = np.linalg.norm(contacts.vectors(positions.reshape(len(positions), -1, 3)), axis=-1)[contacts.is_held]
         known = np.array([contact.distance_m for contact in duet.contacts])
-        assert np.abs(distances[:, None] - known).min(axis=1).max() < 2e-3
+        assert np.abs(apart_m[:, None] - known).min(axis=1).max() < 2e-3
         assert contacts.is_held.sum() == sum(contact.stop_frame - contact.start_frame for contact in stated)
         assert (contacts.num_hands[contacts.is_held] > 0).all()
 

@@ -99,7 +99,5 @@ def test_calibration_scores_tell_good_expected_errors_from_wrong_ones() -> None:
     wrong = calibration_scores(expected[::-1], errors, split="held_out")
     assert value(wrong, "expected_interval_share", "fitted") < 0.5
     assert value(wrong, "expected_correlation", "fitted") == pytest.approx(-1.0)
-    assert [one.metric for one in calibration_scores(expected[:1], errors[:1], split="x")] == [
-        "expected_interval_share"
-    ]
+    assert [s.metric for s in calibration_scores(expected[:1], errors[:1], split="x")] == ["expected_interval_share"]
     assert b"true error" in expected_figure({"held_out": (expected, errors)})

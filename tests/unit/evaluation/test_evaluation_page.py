@@ -27,10 +27,9 @@ def page_of(store: Store, num_takes: int, **settings: object) -> tuple[Page, str
     """Return the page, its text and the card of a run of the first stage alone; takes are made if there are none."""
     takes = list(store.artifacts("ingest")) or [put_take(store, f"take{number:03d}") for number in range(num_takes)]
     inputs = StageInputs(dict.fromkeys(("poses", "takes"), takes), seed=1)
-    planned = [
-        shard for shard in STAGE.plan(inputs, STAGE.parameters(**settings)) if shard.partition in ("takes", "report")
-    ]
-    for shard in planned:
+    for shard in STAGE.plan(inputs, STAGE.parameters(**settings)):
+        if shard.partition not in ("takes", "report"):
+            continue
         artifact = store.find(shard.stage, shard.key)
         ref = STAGE.run_shard(shard, store) if artifact is None else artifact.ref
     text = store.attachment(ref, "report.html").decode()
@@ -75,10 +74,8 @@ def test_a_model_of_any_number_of_arrays_is_one_model(tmp_path: Path, num_arrays
     store = Store(tmp_path)
     facts = ModelFacts(
         split="random", model="copy", **{"class": "CopyModel"}, shares_takes=True, train={}, validation={}, test={}
-    )
-    stored = [
-        put(store, "training", name, {"models": random_columns("models", num_arrays)}, facts.to_json()) for name in "ab"
-    ]
+    ).to_json()
+    stored = [put(store, "training", name, {"models": random_columns("models", num_arrays)}, facts) for name in "ab"]
     assert summary_of(stored).built.startswith("2 models (")
     assert summary_of(stored[:1]).built.startswith("1 model (")
 

@@ -207,12 +207,9 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
         ("copy of the source", "4 (4 to 4) / 1 (1 to 1)"),
         ("ridge", "0.5 (0.5 to 0.5) / 0.1 (0.1 to 0.1)"),
     ]
-    assert motions.rows == tuple(
-        ("hug", split, "4.00 / 9.00 / 3.00", "0.50 / 0.10 / 0.20") for split in ("random", "cross_scale")
-    )
-    assert largest.rows == tuple(
-        ("hug", split, "8.00 / 18.00 / 6.00", "1.00 / 0.20 / 0.40") for split in ("random", "cross_scale")
-    )
+    splits = ("random", "cross_scale")
+    assert motions.rows == tuple(("hug", split, "4.00 / 9.00 / 3.00", "0.50 / 0.10 / 0.20") for split in splits)
+    assert largest.rows == tuple(("hug", split, "8.00 / 18.00 / 6.00", "1.00 / 0.20 / 0.40") for split in splits)
     assert best_model(scores, split="random test", baselines=("copy",)) == "ridge"
     assert best_model(scores, split="random test", baselines=("copy", "ridge")) == "ridge"
     assert model_tables([]) == []

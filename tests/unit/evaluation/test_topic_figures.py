@@ -235,13 +235,12 @@ def test_models_are_scored_on_every_test_variant_in_centimetres(tmp_path: Path) 
     item, predicted = cases["worst"]
     assert item.variant_id == "v2"
     assert predicted.shape == item.motion_m.shape
-    errors = models.TOPIC.pictures(result)[0]
+    pictures = models.TOPIC.pictures(result)
+    errors = pictures[0]
     assert errors.name == "models-random.svg"
     assert b"models on random test variants" in errors.content
     assert "on the 3 test variants of split random" in errors.caption
-    (player,) = (
-        json.loads(picture.content) for picture in models.TOPIC.pictures(result) if picture.name.startswith("cases-")
-    )
+    (player,) = (json.loads(picture.content) for picture in pictures if picture.name.startswith("cases-"))
     assert [panel["title"].split(":")[0] for panel in player["panels"]] == list(cases)
     assert player["num_frames"] == 2, "as long as the shortest of them lasts"
     curves = models.TOPIC.pictures(replace(result, shown=shown._replace(curves={}, cases=("", {}))))
@@ -313,9 +312,8 @@ def put_motion(store: Store, poses: Mapping[str, np.ndarray], off_m: float) -> M
 def test_people_of_virtual_video_are_scored_against_the_take_in_the_axes_of_its_camera(store: Store) -> None:
     takes, videos, poses = put_truth(store, "op14_m")
     motions = put_motion(store, poses, 0.3)
-    shard = reconstruction.TOPIC.shard(
-        INPUTS, "film hidden", motions=[motions], annotations=[videos[1]], takes=[takes[1]]
-    )
+    inputs = {"motions": [motions], "annotations": [videos[1]], "takes": [takes[1]]}
+    shard = reconstruction.TOPIC.shard(INPUTS, "film hidden", **inputs)
     result = reconstruction.TOPIC.compute(shard, store)
     found = by_name(result.scores)
     assert {score.split for score in result.scores} == {"held_out"}

@@ -44,12 +44,11 @@ def _request(take: Source, scale: float) -> VariantRequest:
 
 def _quadratic_items(scales: list[float]) -> list[TrainingItem]:
     linear, square = np.random.default_rng(0).normal(size=(2, *TAKE.positions_m.shape))
-    return [
-        TrainingItem(
-            str(scale), _request(TAKE, scale), TAKE.positions_m + linear * (scale - 1.0) + square * (scale - 1.0) ** 2
-        )
-        for scale in scales
-    ]
+    items = []
+    for scale in scales:
+        motion_m = TAKE.positions_m + linear * (scale - 1.0) + square * (scale - 1.0) ** 2
+        items.append(TrainingItem(str(scale), _request(TAKE, scale), motion_m))
+    return items
 
 
 def _keys(takes: list[str]) -> list[VariantKey]:

@@ -97,9 +97,8 @@ def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(
     assert motion.shape == (30, 2, 18, 3)
     assert np.isfinite(motion).all()
     unseen = replace(asked, take_id="another")
-    np.testing.assert_array_equal(
-        load_model(describe_model(model), model_arrays(model)).predict(unseen), model.predict(unseen)
-    )
+    loaded = load_model(describe_model(model), model_arrays(model))
+    np.testing.assert_array_equal(loaded.predict(unseen), model.predict(unseen))
     found = ModelMeter(asked).measure(asked.bone_scale, {kind.name: motion}, MAPPED.positions_m)[kind.name]
     assert {"E_r", "E_b", "PWD"} <= {name for name, value in found.items() if np.isfinite(value)}
     if model.skeleton is None:

@@ -79,9 +79,8 @@ def plain_window(store: Store, name: str, start: int, window: int, widest: int) 
     poses, people = (open_table(f"{table}:drawn/{take_id}", store) for table in ("poses", "takes"))
     quality = open_table(f"variant_quality:drawn/{take_id}", store)
     count = people.num_rows
-    wanted = {
-        name: np.zeros((window, widest, 22, size)) for name, size in (("positions", 3), ("rotations", 4), ("source", 3))
-    }
+    sizes = {"positions": 3, "rotations": 4, "source": 3}
+    wanted = {name: np.zeros((window, widest, 22, size)) for name, size in sizes.items()}
     wanted |= {"mask": np.zeros((window, widest, 22), bool), "scales": np.zeros((widest, 22))}
     wanted["contacts"] = np.zeros((window, widest * (widest - 1) // 2, 22, 22))
     for row in range(rows.num_rows):

@@ -75,9 +75,8 @@ def test_block_solve_agrees_with_a_dense_solve(frames: int) -> None:
             if t + lag < frames:
                 below[t, lag - 1] = dense[(t + lag) * n : (t + lag + 1) * n, t * n : (t + 1) * n]
     rhs = generator.normal(size=(frames, n))
-    np.testing.assert_allclose(
-        solve_blocks(diagonal, below, rhs).ravel(), np.linalg.solve(dense, rhs.ravel()), rtol=1e-8
-    )
+    solution = solve_blocks(diagonal, below, rhs)
+    np.testing.assert_allclose(solution.ravel(), np.linalg.solve(dense, rhs.ravel()), rtol=1e-8)
 
 
 def test_block_solve_refuses_a_matrix_that_is_not_positive_definite() -> None:
@@ -132,9 +131,8 @@ def test_seen_joints_bring_back_the_pose_they_were_seen_in() -> None:
     forest = BoneForest((BODY22,), lengths)
     generator = np.random.default_rng(0)
     start = forest.state_of(truth + generator.normal(0.0, 0.05, truth.shape))
-    result = fit_bones(
-        forest, start, [PointTerm(truth, np.array(1.0))], FitSettings(max_iterations=50, tolerance=1e-12)
-    )
+    stop = FitSettings(max_iterations=50, tolerance=1e-12)
+    result = fit_bones(forest, start, [PointTerm(truth, np.array(1.0))], stop)
     np.testing.assert_allclose(result.positions_m, truth, atol=1e-6)
 
 
@@ -154,9 +152,8 @@ def test_a_bone_of_length_zero_is_carried_along() -> None:
     lengths[BODY22.index("head")] = 0.0
     forest = BoneForest((BODY22,), lengths)
     result = fit_bones(forest, forest.state_of(truth), [PointTerm(truth, np.array(1.0))])
-    np.testing.assert_array_equal(
-        result.positions_m[:, BODY22.index("head")], result.positions_m[:, BODY22.index("neck")]
-    )
+    head_m, neck_m = (result.positions_m[:, BODY22.index(joint)] for joint in ("head", "neck"))
+    np.testing.assert_array_equal(head_m, neck_m)
 
 
 def test_a_first_guess_that_is_not_finite_is_refused() -> None:

@@ -101,9 +101,8 @@ def test_a_leg_bends_as_offline(dancer: np.ndarray) -> None:
         clean_up.step(frame, raised + np.array([1e-3 * (frame % 2), 0.0, 0.0]))
     found = clean_up.step(40, dancer[0])
     floor = raised[ANKLES, 1].min()
-    for hip, knee, ankle in (
-        OP14.indices([f"{side}_{j}" for j in ("hip", "knee", "ankle")]) for side in ("left", "right")
-    ):
+    for side in ("left", "right"):
+        hip, knee, ankle = OP14.indices([f"{side}_{joint}" for joint in ("hip", "knee", "ankle")])
         target = dancer[0, ankle].copy()
         target[1] = max(target[1], floor)
         expected = bend_leg(

@@ -23,6 +23,7 @@ from pasdedeux.skeletons import BODY22, OP14
 from tests.builders.walkers import database_of, walk
 
 RATE_HZ = 30.0
+SIZE_PX = (1920, 1080)
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +33,10 @@ def searcher() -> Searcher:
 
 def video(num_frames: int, *, noise_px: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Keypoints (frame, 2, 14, 2) of two walkers, and the truth in camera axes."""
-    worlds = np.stack(
-        [walk(num_frames, seed=30 + i, rate_hz=RATE_HZ) + np.array([1.3 * i, 0, 0]) for i in (0, 1)], axis=1
-    )
-    camera = look_at_camera(
-        mid_hip(worlds).mean(axis=(0, 1)), distance_m=5.0, yaw_rad=0.4, pitch_rad=0.0, focal_px=1400.0
-    )
+    walks = [walk(num_frames, seed=30 + person, rate_hz=RATE_HZ) for person in (0, 1)]
+    worlds = np.stack(walks, axis=1) + np.array([[0.0, 0.0, 0.0], [1.3, 0.0, 0.0]])[:, None]
+    middle = mid_hip(worlds).mean(axis=(0, 1))
+    camera = look_at_camera(middle, distance_m=5.0, yaw_rad=0.4, pitch_rad=0.0, focal_px=1400.0)
     px = camera.project(worlds).px + np.random.default_rng(0).normal(0, noise_px, (*worlds.shape[:-1], 2))
     return px, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
 
@@ -70,7 +69,7 @@ def test_a_long_lag_is_the_viterbi_of_the_whole_sequence_and_a_short_one_is_near
 
 def test_two_people_in_any_order_come_out_near_the_truth_with_bounded_delay(searcher: Searcher) -> None:
     px, truth = video(60)
-    people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=LiveOptions(lag=5))
+    people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=SIZE_PX, options=LiveOptions(lag=5))
     poses = run(people, px)
     for person in (0, 1):
         poses_of_person = [pose for pose in poses if pose.person_id == person]
@@ -86,7 +85,7 @@ def test_clean_up_can_be_switched_off_and_keeps_bones(searcher: Searcher) -> Non
     poses = []
     for has_clean_up in (True, False):
         options = LiveOptions(has_clean_up=has_clean_up)
-        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=SIZE_PX, options=options)
         poses.append([pose for pose in run(people, px[:, :1]) if pose.person_id == 0])
     clean_m, plain_m = (np.stack([pose.positions_m for pose in of_person]) for of_person in poses)
     np.testing.assert_allclose(bone_lengths(OP14, clean_m), bone_lengths(OP14, plain_m), atol=1e-9)
@@ -99,7 +98,7 @@ def test_no_bone_ever_changes_and_first_poses_wait_for_the_own_bones(searcher: S
     px, _ = video(90)
     px[60:] = px[59:60] + 1.3 * (px[60:] - px[59:60])  # later frames that say otherwise of the person
     options = LiveOptions(lag=4, has_clean_up=has_clean_up)
-    people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+    people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=SIZE_PX, options=options)
     poses: list[LivePose] = []
     for frame in range(90):
         new = people.push(frame, px[frame, :1], np.ones((1, 14)))
@@ -135,9 +134,7 @@ def test_a_person_who_leaves_before_the_bones_are_known_is_still_emitted(searche
 def test_a_pose_leaves_exactly_the_lag_after_its_image_whatever_comes_later(searcher: Searcher) -> None:
     px, _ = video(30)
     options, early = LiveOptions(lag=4, has_own_proportions=False), []
-    first, second = (
-        LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options) for _ in range(2)
-    )
+    first, second = (LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=SIZE_PX, options=options) for _ in range(2))
     for frame in range(20):
         new = first.push(frame, px[frame], np.ones((2, 14)))
         assert {pose.frame for pose in new} == ({frame - 4} if frame >= 4 else set())
@@ -154,7 +151,7 @@ def test_a_stated_lens_puts_people_as_far_away_as_it_says(searcher: Searcher) ->
     px, truth = video(12)
     away = []
     for focal_px in (1400.0, 2800.0):
-        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), focal_px=focal_px)
+        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=SIZE_PX, focal_px=focal_px)
         away.append(np.median([-pose.root_m[2] for pose in run(people, px[:, :1])]))
     assert away[1] / away[0] == pytest.approx(2.0, rel=0.05)
     assert away[0] == pytest.approx(-mid_hip(truth)[:12, 0, 2].mean(), rel=0.15)
@@ -165,7 +162,7 @@ def test_a_stated_stature_holds_from_the_first_frame_and_gives_the_bones_of_the_
     options, found = LiveOptions(has_clean_up=False), []
     for stated in ({}, {0: 1.9}, {0: 1.9, EVERYBODY_ELSE: 1.5}, {EVERYBODY_ELSE: 1.9}):
         people = LivePeople(
-            searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), statures_m=stated, options=options, focal_px=1400.0
+            searcher, rate_hz=RATE_HZ, image_size_px=SIZE_PX, statures_m=stated, options=options, focal_px=1400.0
         )
         found.append(np.stack([pose.positions_m for pose in run(people, px[:, :1])]))
     plain, *tall = found

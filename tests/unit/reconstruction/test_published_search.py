@@ -122,9 +122,7 @@ def test_clusters_of_another_database_and_none_are_refused(database: Database, c
         Searcher.of(smaller, clusters)
     searcher = Searcher.of(database)
     assert Method.PUBLISHED not in searcher.methods
-    with pytest.raises(
-        InputError, match=r"has no clusters; .* set num_clusters \(500 in the paper\) of \[projections\]"
-    ):
+    with pytest.raises(InputError, match=r"has no clusters; .* set num_clusters \(500 in the paper\)"):
         reconstruct_track(searcher, track_of(walk(30, seed=11)), Method.PUBLISHED)
 
 

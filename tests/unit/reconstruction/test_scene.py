@@ -133,9 +133,8 @@ def test_one_floor_and_sizes_of_people_put_both_in_their_place_to_each_other(nam
 
 def test_a_hand_in_front_of_a_person_farther_away_makes_no_place_well_known() -> None:
     world = duet_couple("hug", duration_s=6.0, rate_hz=RATE_HZ)
-    camera = look_at_camera(
-        mid_hip(world).mean(axis=(0, 1)), distance_m=6.0, yaw_rad=2.0, pitch_rad=0.0, focal_px=1400.0
-    )
+    middle = mid_hip(world).mean(axis=(0, 1))
+    camera = look_at_camera(middle, distance_m=6.0, yaw_rad=2.0, pitch_rad=0.0, focal_px=1400.0)
     truth = (world - camera.position_m) @ camera.camera_from_world_rotmat.T
     for behind_m in (0.0, 1.5):
         truth[:, 1, :, 2] -= behind_m

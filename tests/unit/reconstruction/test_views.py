@@ -108,9 +108,7 @@ def test_expected_errors_of_cameras_hold(together: SeenTogether, seen: list[Film
 
 def test_cameras_of_two_takes_are_refused(seen: list[FilmedCamera], database: SearchedDatabase) -> None:
     judo = see(duet_m("judo"), (20.0, 100.0))[1]
-    with pytest.raises(
-        InputError, match=r"cameras front and side: they do not show the same people|front, side do not"
-    ):
+    with pytest.raises(InputError, match=r"cameras front and side: they do not show the same|front, side do not"):
         reconstruct_views([seen[0].tracks, judo.tracks], database, names=["front", "side"])
 
 
@@ -148,9 +146,7 @@ def test_calibrated_cameras_give_true_sizes(
         reconstruct_views(tracks, database, calibration=cameras[::-1])
     with pytest.raises(InputError, match="the calibration has 1 cameras, and 2 are given"):
         reconstruct_views(tracks, database, calibration=cameras[:1])
-    with pytest.raises(
-        InputError, match=r"somebody would be 0\.0\d+ m tall by the calibration; its translations must be"
-    ):
+    with pytest.raises(InputError, match=r"somebody would be 0\.0\d+ m tall by the calibration; its translations"):
         _check_sizes([replace(view, position_m=view.position_m / 39.0) for view in found.views])
 
 
@@ -256,9 +252,7 @@ def test_film_on_the_page_follows_its_clock(together: SeenTogether, seen: list[F
     drawn = np.argwhere(np.abs(image - 90.0).max(axis=-1) > 40.0)[:, ::-1]
     first = max(0, int(np.ceil(seen[1].ahead_s * 30.0)))
     true_px = np.concatenate([track.keypoints_px[first] for track in seen[1].tracks]) / 2.0
-    np.testing.assert_allclose(
-        [drawn.min(axis=0), drawn.max(axis=0)], [true_px.min(axis=0), true_px.max(axis=0)], atol=20
-    )
+    np.testing.assert_allclose([drawn.min(0), drawn.max(0)], [true_px.min(0), true_px.max(0)], atol=20)
 
 
 def test_somebody_who_leaves_is_drawn_over_film_up_to_the_last_frame() -> None:

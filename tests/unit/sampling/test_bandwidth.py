@@ -84,9 +84,8 @@ def test_joints_that_are_not_seen_do_not_count() -> None:
     pairs = annotated(0.2, 60)
     points = pairs.points_m.copy()
     points[::2, 1, 14:] = np.nan
-    found = leave_one_out(
-        points, np.repeat([[0.0, 0.0, 1.0]], len(points), axis=0), SAME_MOMENT * np.arange(len(points))
-    )
+    moments = SAME_MOMENT * np.arange(len(points))
+    found = leave_one_out(points, np.repeat([[0.0, 0.0, 1.0]], len(points), axis=0), moments)
     # Joints that one of two images lacks do not count for either.
     assert (found.freedom[::2] == 59.0).all()
     assert set(found.freedom[1::2]) == {65.0, 59.0}

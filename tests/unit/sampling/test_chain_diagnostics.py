@@ -26,9 +26,8 @@ SEED = standing_pair()
 
 def report(log_density: np.ndarray, *, num_accepted: int = 1) -> object:
     pairs = random_pairs(np.random.default_rng(1), len(log_density))
-    (found,) = diagnose(
-        pairs[None], log_density[None], np.full((1, len(log_density)), num_accepted), thin=4, log_ceiling=5.0
-    )
+    accepted = np.full((1, len(log_density)), num_accepted)
+    (found,) = diagnose(pairs[None], log_density[None], accepted, thin=4, log_ceiling=5.0)
     return found
 
 
@@ -91,9 +90,7 @@ def test_a_chain_of_which_one_hand_walks_away_does_not_mix_and_its_neighbour_has
     assert bad.ess_min == bad.verdict.value < 10.0
     assert good.rhat_max == bad.rhat_max > 1.1
     assert bad.verdict.level is Level.WARN
-    assert re.match(
-        r"not mixed: effective sample size \d of 500, R-hat \d\.\d+, \d+\.\d cm travelled", bad.verdict.reason
-    )
+    assert re.match(r"not mixed: effective sample size \d of 500, R-hat \d\.\d+, \d+\.\d cm", bad.verdict.reason)
 
 
 def test_chains_that_each_stay_in_a_place_of_their_own_do_not_mix() -> None:
@@ -120,9 +117,8 @@ def test_a_chain_that_accepts_nothing_is_stuck_wherever_it_is() -> None:
 
 
 def test_a_chain_that_never_moved_has_no_effective_sample_size() -> None:
-    (found,) = diagnose(
-        np.repeat(SEED[None], 8, axis=0)[None], np.zeros((1, 8)), np.zeros((1, 8)), thin=1, log_ceiling=1.0
-    )
+    still = np.repeat(SEED[None], 8, axis=0)[None]
+    (found,) = diagnose(still, np.zeros((1, 8)), np.zeros((1, 8)), thin=1, log_ceiling=1.0)
     assert np.isnan([found.ess_min, found.rhat_max]).all()
     assert found.travelled_m == pytest.approx(0.0, abs=1e-9)
     with pytest.raises(InputError, match="at least one chain with one draw"):
@@ -148,9 +144,7 @@ def test_evidence_notes_what_was_skipped_and_what_is_few() -> None:
     likelihood = cast(Any, None)
     many = AnnotationEvidence(likelihood, num_annotations=100)
     assert many.note() == ""
-    assert replace(many, num_skipped=2).note() == (
-        "2 of 102 annotations show too little or have no view, and were skipped"
-    )
+    assert "2 of 102 annotations show too little or have no view" in replace(many, num_skipped=2).note()
     few = replace(many, num_annotations=1).note()
     assert few.startswith("1 annotation is fewer than the ")
     assert "see the pair from one side" in replace(many, view_spread_rad=0.1).note()

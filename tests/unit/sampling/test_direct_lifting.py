@@ -86,10 +86,8 @@ def test_a_close_up_without_lower_legs_is_lifted_with_their_usual_proportion() -
     np.testing.assert_allclose(apparent_bone_lengths(2.0 * points), 2.0 * lengths)
     seeds = lift_seeds(AnnotatedPairs(points, entries.directions, entries.annotation_index), LIMITS, BASIS, num_seeds=4)
     seen = [joint for joint in range(17) if joint not in hidden]
-    error = cartesian_dissimilarity(
-        seeds.pairs_m[:, :, seen].reshape(len(seeds.pairs_m), -1, 3),
-        pairs[seeds.entry][:, :, seen].reshape(len(seeds.pairs_m), -1, 3),
-    )
+    lifted, truth = (some[:, :, seen].reshape(len(some), -1, 3) for some in (seeds.pairs_m, pairs[seeds.entry]))
+    error = cartesian_dissimilarity(lifted, truth)
     assert np.median(error) < 0.15
     points[:, 1] = np.nan
     with pytest.raises(InputError, match="no annotation shows a bone of person B"):

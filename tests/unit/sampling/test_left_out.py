@@ -48,9 +48,8 @@ def test_an_image_of_a_draw_is_at_no_distance_once_the_draw_is_among_them() -> N
 
 
 def test_scores_hold_the_curve_and_its_end_and_pictures_are_drawn() -> None:
-    curves = {
-        name: nearest_curve(IMAGES, [VIEWS] * 6, pairs) for name, pairs in (("ic", PAIRS), ("prior_only", PAIRS[6:30]))
-    }
+    draws = {"ic": PAIRS, "prior_only": PAIRS[6:30]}
+    curves = {name: nearest_curve(IMAGES, [VIEWS] * 6, pairs) for name, pairs in draws.items()}
     scores = nearest_draw_scores(curves, split="leave_one_out")
     ends = {(score.method, score.metric): score for score in scores if np.isnan(score.at)}
     assert ends["ic", "leave_one_out_d_I_mean"].value < ends["prior_only", "leave_one_out_d_I_mean"].value

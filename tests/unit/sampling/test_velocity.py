@@ -116,9 +116,8 @@ def test_an_annotation_that_is_nearest_under_several_views_counts_once() -> None
 )
 def test_the_ratio_never_exceeds_its_bound(count: int, square: float, here: float, least: float, beyond: float) -> None:
     there = least + beyond
-    assert (
-        log_normal_ratio(count, square, here, there, False) <= log_normal_ratio(count, square, here, least, True) + 1e-9
-    )
+    bound = log_normal_ratio(count, square, here, least, True)
+    assert log_normal_ratio(count, square, here, there, False) <= bound + 1e-9
 
 
 def test_a_proposal_survives_being_written_down() -> None:

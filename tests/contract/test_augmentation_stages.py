@@ -73,8 +73,8 @@ def test_how_variants_were_solved_is_part_of_what_they_are_also_where_they_are_t
     """Evaluation and training solve more variants so: of a new store they would get other figures."""
     takes = [put_take(store, "pair")]
     once, again, judged = (
-        augment(store, takes, scales=(0.95,), **told)[0]
-        for told in ({}, {"groups": ("arms",)}, {"limits": {"jerk_ratio": (50.0, 60.0)}})
+        augment(store, takes, scales=(0.95,), **options)[0]
+        for options in ({}, {"groups": ("arms",)}, {"limits": {"jerk_ratio": (50.0, 60.0)}})
     )
     assert once.data_files == again.data_files == judged.data_files
     assert (again.ref == once.ref, judged.ref == once.ref) == (False, True)
@@ -140,10 +140,10 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) ->
 
 def test_batches_of_earlier_versions_are_read_and_what_is_no_longer_allowed_is_one_sentence(store: Store) -> None:
     (made,) = augment(store, [put_take(store, "pair")], scales=(0.8,))
-    told = {**made.facts["told"], "mesh_smoothing_s": 0.25, "weights": {"stance": 1.0}}
-    assert augmentation.batch_of(replace(made, facts={**made.facts, "told": told})) == augmentation.batch_of(made)
+    stated = {**made.facts["told"], "mesh_smoothing_s": 0.25, "weights": {"stance": 1.0}}
+    assert augmentation.batch_of(replace(made, facts={**made.facts, "told": stated})) == augmentation.batch_of(made)
     with pytest.raises(InputError, match=r"variants of take 'pair' were made by an earlier version.*solver.*'bulk'"):
-        augmentation.batch_of(replace(made, facts={**made.facts, "told": {**told, "solver": "descent"}}))
+        augmentation.batch_of(replace(made, facts={**made.facts, "told": {**stated, "solver": "descent"}}))
 
 
 def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:
@@ -391,9 +391,9 @@ def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_seeds_of_its_own(sto
     takes = [put_take(store, "one"), put_take(store, "two")]
     variants = augment(store, takes)
     again = {"models": ["actor_like"], "seeds": [0, 2], "splits": ["cross_interaction"], "actor_like": {"num_steps": 1}}
-    other = {"models": ["copy", "ridge_scale"], "skeleton": "expi18", "splits": ["cross_interaction"]}
+    small = {"models": ["copy", "ridge_scale"], "skeleton": "expi18", "splits": ["cross_interaction"]}
     shards = plan_training(
-        takes, variants, models=("ridge_scale",), splits=("cross_scale",), sweep={"again": again, "on18": other}
+        takes, variants, models=("ridge_scale",), splits=("cross_scale",), sweep={"again": again, "on18": small}
     )
     names = ("again", "again_seed2", "copy_on18", "ridge_scale_on18")
     assert {(shard.partition, shard.name) for shard in shards} == {
@@ -403,18 +403,18 @@ def test_a_sweep_trains_its_models_on_splits_a_skeleton_and_seeds_of_its_own(sto
     made = train(store, shards)
     facts = {name: made[f"cross_interaction {name}"].facts for name in ("again", "again_seed2", "copy_on18")}
     assert [known["skeleton"] for known in facts.values()] == ["body22", "body22", "expi18"]
-    one, other = (read_arrays(store, made[f"cross_interaction {name}"].ref) for name in ("again", "again_seed2"))
-    assert not np.array_equal(one["pose.weight"], other["pose.weight"])
+    first, second = (read_arrays(store, made[f"cross_interaction {name}"].ref) for name in ("again", "again_seed2"))
+    assert not np.array_equal(first["pose.weight"], second["pose.weight"])
 
 
 def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
     def check(*duets: str, alone: bool = False, **training: Any) -> None:
         takes = [{"id": "alone", "files": ["walk.bvh"]}] if alone else []
-        told = {"duets": [{"name": name} for name in duets], "takes": takes}
+        ingest = {"duets": [{"name": name} for name in duets], "takes": takes}
         assert TRAINING.check_study is not None
         TRAINING.check_study(
             {
-                "ingest": IngestParameters.model_validate(told),
+                "ingest": IngestParameters.model_validate(ingest),
                 "augmentation": augmentation.AugmentationParameters(),
                 "training": TRAINING.parameters(**training),
             }

@@ -47,8 +47,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     shards = planned(rate_hz=15, duets=duets, held_out=[HELD_OUT])
     takes = [made for (_, name), made in run(store, [shard for shard in shards if shard.name == "take"]).items()]
     inputs = StageInputs({"poses": takes, "takes": takes}, seed=3)
-    told = AugmentationParameters(scales=(0.8, 1.2), persons=("A",), kinds=("uniform",))
-    variants = [store.manifest(augmentation.run_shard(shard, store)) for shard in augmentation.plan(inputs, told)]
+    asked = AugmentationParameters(scales=(0.8, 1.2), persons=("A",), kinds=("uniform",))
+    variants = [store.manifest(augmentation.run_shard(shard, store)) for shard in augmentation.plan(inputs, asked)]
     draws = [store.manifest(commit_rows(store, "draws", 7, stage="chains", partition="ic-seed0"))]
     made = {"ingest": takes, "augmentation": variants, "chains": draws}
     records = {stage: [ShardRecord.of(manifest, store) for manifest in found] for stage, found in made.items()}

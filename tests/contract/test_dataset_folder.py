@@ -129,10 +129,10 @@ def test_a_clip_is_one_row_group_with_the_take_s_split_and_the_rows_of_the_store
         assert rows.num_rows == clip.num_frames * clip.num_people == 24
         table = "poses" if pd.isna(clip.variant_id) else "variants"
         stored = open_table(f"{table}:made@1", store)
-        own = stored["take_id"] == clip.take_id
-        own &= True if table == "poses" else stored["variant_id"] == clip.variant_id
+        is_mine = stored["take_id"] == clip.take_id
+        is_mine &= True if table == "poses" else stored["variant_id"] == clip.variant_id
         positions = np.stack(rows["body22_m"].to_numpy(zero_copy_only=False)).reshape(-1, 22, 3)
-        np.testing.assert_array_equal(positions, stored["body22_m"][own])
+        np.testing.assert_array_equal(positions, stored["body22_m"][is_mine])
         rest = np.reshape(clip.rest_m, (2, 22, 3))
         take = clips[clips["clip_id"] == clip.take_id].iloc[0]
         scale = np.reshape(clip.bone_scale, (2, 22))
@@ -148,16 +148,16 @@ def test_a_variant_has_the_contacts_of_its_take_where_it_holds_them(folder: Path
     assert {take for take, _ in held} == {"waltz", "hug", "judo"}
     clips = pd.read_parquet(folder / "data" / "clips")
     assert set(clips.fillna({"variant_id": ""}).groupby(["take_id", "variant_id"]).groups) >= set(held)
-    for (take, variant), own in held.items():
+    for (take, variant), contacts in held.items():
         of_take = held[take, ""]
-        assert set(own["origin"]) == {"variants" if variant else "poses"}
+        assert set(contacts["origin"]) == {"variants" if variant else "poses"}
         same = ["frame", "time_s", "person", "bone", "share", "partner", "partner_bone", "weight", "is_held"]
-        assert own[same].reset_index(drop=True).equals(of_take[same].reset_index(drop=True))
+        assert contacts[same].reset_index(drop=True).equals(of_take[same].reset_index(drop=True))
         factor = 1.0 + VARIANTS.index(variant) / 50 if variant else 1.0
         for name in ("point_m", "partner_point_m"):
             expected = factor * np.stack(of_take[name].to_list())
-            np.testing.assert_allclose(np.stack(own[name].to_list()), expected, atol=1e-6)
-        np.testing.assert_allclose(own["gap_m"], factor * of_take["gap_m"].to_numpy(), atol=1e-6)
+            np.testing.assert_allclose(np.stack(contacts[name].to_list()), expected, atol=1e-6)
+        np.testing.assert_allclose(contacts["gap_m"], factor * of_take["gap_m"].to_numpy(), atol=1e-6)
 
 
 def test_figures_are_those_of_the_rows(folder: Path) -> None:
@@ -183,33 +183,33 @@ def test_figures_are_those_of_the_rows(folder: Path) -> None:
 
 
 def test_a_folder_comes_into_another_store_as_what_it_was(folder: Path, store: Store, tmp_path: Path) -> None:
-    other = Store(tmp_path / "other")
-    dataset, num_new = read_folder(folder, other)
+    reader = Store(tmp_path / "other")
+    dataset, num_new = read_folder(folder, reader)
     assert dataset.digest == open_dataset(store, "made@1").digest
     assert num_new == 9
-    assert verify(other).is_ok
-    names = [[clip.name for clip in Data(place).variants("made@1")] for place in (store, other)]
+    assert verify(reader).is_ok
+    names = [[clip.name for clip in Data(place).variants("made@1")] for place in (store, reader)]
     assert names[0] == names[1]
-    assert read_folder(folder, other)[1] == 0
+    assert read_folder(folder, reader)[1] == 0
     again = tmp_path / "again"
-    write_folder(other, dataset, again)
+    write_folder(reader, dataset, again)
     assert digests(again) == digests(folder)
 
 
 def test_a_damaged_folder_is_refused(folder: Path, tmp_path: Path) -> None:
-    other = shutil.copytree(folder, tmp_path / "damaged")
-    path = next((other / "data" / "poses").iterdir())
+    damaged = shutil.copytree(folder, tmp_path / "damaged")
+    path = next((damaged / "data" / "poses").iterdir())
     path.write_bytes(path.read_bytes()[:-1] + b"!")
     with pytest.raises(CorruptArtifact, match=path.name):
-        read_folder(other, Store(tmp_path / "store"))
+        read_folder(damaged, Store(tmp_path / "store"))
     assert not (tmp_path / "store" / "datasets").exists()
 
 
 def rejecting(store: Store) -> dict[str, str]:
     """Return the choice that rejects a variant of a take."""
     rows = open_table("variants:made@1", store)
-    own = (rows["take_id"] == "judo") & (rows["variant_id"] == VARIANTS[1])
-    return {f"variants judo/{VARIANTS[1]}": f"reject {content_of(rows['body22_m'][own])}"}
+    is_rejected = (rows["take_id"] == "judo") & (rows["variant_id"] == VARIANTS[1])
+    return {f"variants judo/{VARIANTS[1]}": f"reject {content_of(rows['body22_m'][is_rejected])}"}
 
 
 def texts(folder: Path) -> str:
@@ -234,11 +234,11 @@ def test_rejected_rows_are_nowhere_and_what_is_left_comes_back(store: Store, tmp
     assert "Rejected by a person, of variants: 1." in written.left_out
     assert f"judo/{VARIANTS[1]}" not in said
     write_folder(store, dataset, tmp_path / "whole")
-    other = Store(tmp_path / "other")
-    dataset, _ = read_folder(tmp_path / "whole", other)
-    assert verify(other).is_ok
-    assert len(Data(other).variants(dataset.label)) == 11
-    (judo,) = [clip for clip in Data(other).variants(dataset.label) if clip.name == f"judo, {VARIANTS[2]}"]
+    reader = Store(tmp_path / "other")
+    dataset, _ = read_folder(tmp_path / "whole", reader)
+    assert verify(reader).is_ok
+    assert len(Data(reader).variants(dataset.label)) == 11
+    (judo,) = [clip for clip in Data(reader).variants(dataset.label) if clip.name == f"judo, {VARIANTS[2]}"]
     (same,) = [clip for clip in Data(store).variants("made@1") if clip.name == f"judo, {VARIANTS[2]}"]
     np.testing.assert_array_equal(judo.positions_m, same.positions_m)
 
@@ -259,9 +259,9 @@ def test_a_source_that_may_not_leave_is_nowhere(
     assert any("stays, its licence" in words for words in written.left_out)
     assert stays not in said.replace(f"of-{stays}", "")
     assert SECRET.credit not in json.dumps(json.loads((tmp_path / "out" / "croissant.json").read_text())["creator"])
-    other = Store(tmp_path / "other")
-    read_folder(tmp_path / "out", other)
-    assert verify(other).is_ok
+    reader = Store(tmp_path / "other")
+    read_folder(tmp_path / "out", reader)
+    assert verify(reader).is_ok
 
 
 def test_nothing_at_all_may_leave_is_said(store: Store, tmp_path: Path) -> None:
@@ -297,9 +297,9 @@ def test_an_update_writes_only_what_is_new_and_keeps_sides(store: Store, tmp_pat
     for clip in clips.itertuples():
         rows = pq.ParquetFile(out / clip.file).read_row_group(clip.row_group, columns=["take_id"])
         assert set(rows["take_id"].to_pylist()) == {clip.take_id}
-    other = Store(tmp_path / "other")
-    read_folder(out, other)
-    assert verify(other).is_ok
+    reader = Store(tmp_path / "other")
+    read_folder(out, reader)
+    assert verify(reader).is_ok
     assert write_folder(store, more, out, since="made@1").new == ()
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["other", "out"]
 

@@ -198,9 +198,9 @@ def test_what_a_verdict_has_a_method_beat_is_what_page_and_scores_call_its_basel
 @pytest.mark.parametrize("topic", [topic for topic in TOPICS if topic.criteria], ids=lambda topic: topic.name)
 def test_no_criterion_fails_the_truth(evaluated: Any, judged: Judged, topic: Topic[Any]) -> None:
     """The truth takes the place of what is judged: a yardstick that it fails measures something else."""
-    own = [case for case in judged if case[0] in topic.criteria]
-    assert own, f"the small study has nothing that topic {topic.name} judges"
-    for criterion, items, baselines in own:
+    cases = [case for case in judged if case[0] in topic.criteria]
+    assert cases, f"the small study has nothing that topic {topic.name} judges"
+    for criterion, items, baselines in cases:
         if criterion.metric in ERRORS:
             truth = np.zeros(len(items.takes))
         elif criterion.metric in SHARES:
@@ -240,8 +240,8 @@ def test_the_page_is_whole_small_and_opens_in_a_browser(evaluated: Evaluated, tm
 def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(evaluated: Evaluated) -> None:
     store, made, page = evaluated
     headings = re.findall(r'<h2 id="[^"]*">(.*?)<', page)
-    own = [topic.heading for topic in TOPICS]
-    assert headings == ["What was built", "Is it good?", *own, "Skipped, and why", "Sources and licences"]
+    topics = [topic.heading for topic in TOPICS]
+    assert headings == ["What was built", "Is it good?", *topics, "Skipped, and why", "Sources and licences"]
     judged = {part.partition for part in made if verdict_of(part) is not None}
     table = store.read(made[-1].ref, "verdicts")
     ours = [name for stage, name in zip(table["stage"], table["partition"], strict=True) if stage == "evaluation"]

@@ -128,13 +128,13 @@ def check_csv(paths: list[Path], text: str, store: Store) -> None:
     with path.open(newline="", encoding="utf-8") as file:
         header, *lines = csv.reader(file)
     with listed.open(newline="", encoding="utf-8") as file:
-        told = {row["column"]: row for row in csv.DictReader(file)}
-    assert list(told) == list(rows.column_names)
-    assert all(told[column.name]["unit"] == column.unit for column in rows.table.columns)
+        listed_columns = {row["column"]: row for row in csv.DictReader(file)}
+    assert list(listed_columns) == list(rows.column_names)
+    assert all(listed_columns[column.name]["unit"] == column.unit for column in rows.table.columns)
     assert len(set(header)) == len(header)
     assert list(dict.fromkeys(name.partition(".")[0] for name in header)) == list(rows.column_names)
     assert [len(line) for line in lines] == [len(header)] * rows.num_rows
-    for name in {"person", "time_s", "body22_m", "pair17_m"}.intersection(told):
+    for name in {"person", "time_s", "body22_m", "pair17_m"}.intersection(listed_columns):
         cells = [[line[at] for at in range(len(header)) if header[at].partition(".")[0] == name] for line in lines]
         np.testing.assert_allclose(np.array(cells, dtype=float), np.reshape(rows[name], (len(lines), -1)), rtol=1e-6)
 
@@ -207,12 +207,12 @@ def joints_of(file: pygltflib.GLTF2) -> np.ndarray:
     for skin, mesh in zip(file.skins, file.meshes, strict=True):
         world = {skin.skeleton: np.eye(4)[None]}
         for node in skin.joints:
-            own = file.nodes[node]
+            joint = file.nodes[node]
             matrix = np.tile(np.eye(4), (num_frames, 1, 1))
             matrix[:, :3, :3] = Rotation.from_quat(tracks[node, "rotation"]).as_matrix()
-            matrix[:, :3, 3] = tracks.get((node, "translation"), np.array(own.translation))
+            matrix[:, :3, 3] = tracks.get((node, "translation"), np.array(joint.translation))
             world[node] = world[node] @ matrix
-            world |= dict.fromkeys(own.children or (), world[node])
+            world |= dict.fromkeys(joint.children or (), world[node])
         joints = np.stack([world[node] for node in skin.joints], axis=1)
         people.append(joints[..., :3, 3])
         bind = values(skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)

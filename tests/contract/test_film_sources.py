@@ -130,9 +130,11 @@ def test_film_of_a_variable_rate_is_annotated_on_its_true_times(film: Path, keys
     first, _ = shots_of(uneven, keys=keys)
     frames = first.read()
     times = np.r_[0.0, np.cumsum(durations)[:-1]]
-    own = frames.frame[frames.person_id == 0]
-    assert own.tolist() == list(range(round(times[19] * 30) + 1))
-    walked = np.interp(own / 30.0, times, np.arange(COUNT))  # frames of the film, which the walker keeps pace with
+    first_person = frames.frame[frames.person_id == 0]
+    assert first_person.tolist() == list(range(round(times[19] * 30) + 1))
+    walked = np.interp(
+        first_person / 30.0, times, np.arange(COUNT)
+    )  # frames of the film, which the walker keeps pace with
     nose = frames.keypoints_px[frames.person_id == 0, 0, 0]
     assert np.abs(nose - np.array([walker_px(0)[0, 0] + 2.0 * at for at in walked])).max() < 3.0
 
@@ -428,8 +430,8 @@ def test_a_film_with_key_frames_becomes_bvh_glb_with_its_camera_and_a_page(
     keys.write_text("\n".join(lines))
     where = [*reference(build_store(tmp_path / "store")), "--out", str(tmp_path / "out")]
     assert run_command_line(["reconstruct", str(film), "--keys", str(keys), *where]) == 0
-    told = capsys.readouterr()
-    assert f"walkers: frames 0 to {FRAMES - 1} of walkers.mp4, by the format 'annotation_csv'" in told.err
+    printed = capsys.readouterr()
+    assert f"walkers: frames 0 to {FRAMES - 1} of walkers.mp4, by the format 'annotation_csv'" in printed.err
     for person in (0, 1):
         text = (tmp_path / "out" / f"walkers_{person}.bvh").read_text()
         assert f"Frames: {FRAMES}" in text

@@ -118,16 +118,16 @@ def test_an_unknown_duet_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "sentence"),
+    ("style", "sentence"),
     [
         ({"heights_m": (1.7, 1.8, 1.9)}, "duet 'waltz': 3 heights are given for 2 people"),
         ({"stride": 0.2}, "duet 'waltz': stride is 0.2: Extra inputs are not permitted"),
         ({"speed": 9.0}, "duet 'waltz': speed is 9.0: Input should be less than or equal to"),
     ],
 )
-def test_a_style_that_a_duet_does_not_have_is_refused(told: dict[str, Any], sentence: str) -> None:
+def test_a_style_that_a_duet_does_not_have_is_refused(style: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=re.escape(sentence)):
-        duet_style("waltz", **told)
+        duet_style("waltz", **style)
 
 
 def test_a_file_that_changes_after_planning_is_noticed(store: Store, pair: tuple[Path, Path]) -> None:

@@ -35,7 +35,7 @@ def read(name: str, data: bytes) -> object:
     if name in MOTION_FORMATS:
         return MOTION_FORMATS[name].read(data, GOOD_MOTIONS[name][1])
     first, *others = GOOD_ANNOTATIONS[name]
-    files = {first: data, **{other: GOOD_ANNOTATIONS[name][other] for other in others}}
+    files = {first: data, **{companion: GOOD_ANNOTATIONS[name][companion] for companion in others}}
     return ANNOTATION_FORMATS[name].read(files, sequence_id="s")
 
 
@@ -48,7 +48,7 @@ def test_there_is_a_good_file_of_every_format() -> None:
 def test_a_format_is_known_from_every_other_by_its_content(name: str) -> None:
     assert FORMATS[name].name == name
     start = FileStart(GOOD[name])
-    assert [other for other, kind in FORMATS.items() if kind.recognises(start)] == [name]
+    assert [known for known, kind in FORMATS.items() if kind.recognises(start)] == [name]
     assert recognise_format(GOOD[name]) is FORMATS[name]
 
 

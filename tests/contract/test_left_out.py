@@ -31,8 +31,8 @@ def shard_of(stage: str, partition: str, parameters: Parameters, **more: object)
 
 
 def file_skipped(store: Store) -> ArtifactRef:
-    told = SkippedParameters(skipped={"torn.bvh": "torn.bvh: line 3 is no number"})
-    return ingest.run_shard(shard_of("ingest", "folder", told), store)
+    parameters = SkippedParameters(skipped={"torn.bvh": "torn.bvh: line 3 is no number"})
+    return ingest.run_shard(shard_of("ingest", "folder", parameters), store)
 
 
 def take_skipped(store: Store) -> Manifest:
@@ -42,8 +42,8 @@ def take_skipped(store: Store) -> Manifest:
 
 def video_of_a_skipped_take(store: Store) -> ArtifactRef:
     take = take_skipped(store)
-    told = VideoParameters.model_construct(take_id="spin", count=1, purpose="video")
-    return ingest.run_shard(shard_of("ingest", "spin video", told, after=(take.ref.key,)), store)
+    parameters = VideoParameters.model_construct(take_id="spin", count=1, purpose="video")
+    return ingest.run_shard(shard_of("ingest", "spin video", parameters, after=(take.ref.key,)), store)
 
 
 def take_of_one(store: Store) -> Manifest:
@@ -52,8 +52,8 @@ def take_of_one(store: Store) -> Manifest:
 
 
 def nobody_is_scaled(store: Store) -> ArtifactRef:
-    told = NobodyParameters(persons=("B",), num_persons=1)
-    return augmentation.run_shard(shard_of("augmentation", "solo", told), store)
+    parameters = NobodyParameters(persons=("B",), num_persons=1)
+    return augmentation.run_shard(shard_of("augmentation", "solo", parameters), store)
 
 
 KINDS = {

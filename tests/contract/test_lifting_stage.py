@@ -294,12 +294,12 @@ def test_frames_of_a_video_are_lifted_by_the_projection_database_without_its_own
 
 def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(grown: Any) -> None:
     store, given = grown
-    own = {"purpose": "given", "rate_hz": 30.0}
-    (made,) = lift(store, filmed(store, given, own, every=7), max_frames=2, num_spans=1).values()
+    facts = {"purpose": "given", "rate_hz": 30.0}
+    (made,) = lift(store, filmed(store, given, facts, every=7), max_frames=2, num_spans=1).values()
     between = store.read(made.ref, "in_betweens")
     assert between["last_frame"][0] - between["first_frame"][0] == 7
     assert between.num_rows == 2 * 6
-    stills = filmed(store, given, {**own, "why_no_video": {"film": "stills"}})
+    stills = filmed(store, given, {**facts, "why_no_video": {"film": "stills"}})
     (made,) = lift(store, stills, max_frames=2).values()
     assert "in_betweens" not in made.tables
     assert "over_time" not in set(store.read(made.ref, "lifted_pairs")["method"])

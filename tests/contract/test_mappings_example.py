@@ -96,10 +96,10 @@ def test_what_a_mapping_says_of_left_and_right_decides_whether_a_file_is_mirrore
     """A file exchanges the names of left and right; a mapping puts that right, so that nothing is left to doubt."""
     rig = RIGS[0]
     parts = {part: rig.names[part] for part in (*NEEDED, "left_toe", "right_toe", "neck")}
-    other = {"Left": "Right", "Right": "Left"}
+    exchanging = {"Left": "Right", "Right": "Left"}
 
     def exchanged(text: str) -> str:
-        return re.sub("Left|Right", lambda found: other[found[0]], text)
+        return re.sub("Left|Right", lambda side: exchanging[side[0]], text)
 
     path = tmp_path / "a.bvh"
     path.write_text(exchanged(rig.bvh()))
@@ -115,10 +115,10 @@ def test_what_a_mapping_says_of_head_and_feet_decides_which_axis_is_up(store: St
     rig = replace(RIGS[0], axes="+x +z -y")
     pairs = [("Neck", "LeftToeBase")]
     pairs += [(side + arm, side + leg) for side in ("Left", "Right") for arm, leg in zip(*_LIMBS, strict=True)]
-    other = dict(pairs) | {second: first for first, second in pairs}
+    exchanging = dict(pairs) | {second: first for first, second in pairs}
     path = tmp_path / "a.bvh"
-    path.write_text(re.sub(rf"\b({'|'.join(other)})\b", lambda found: other[found[0]], rig.bvh()))
-    parts = {part: other[rig.names[part]] for part in (*NEEDED, "neck")}
+    path.write_text(re.sub(rf"\b({'|'.join(exchanging)})\b", lambda name: exchanging[name[0]], rig.bvh()))
+    parts = {part: exchanging[rig.names[part]] for part in (*NEEDED, "neck")}
     take = {"id": "dance", "files": [path], "metres_per_unit": 0.01, "layout": "mine", "floor": "keep"}
     made = ingest_take(store, take, mappings={"mine": {"parts": parts}})
     assert list(store.read(made.ref, "takes")["up_axis"]) == ["z"]

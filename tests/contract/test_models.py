@@ -122,11 +122,11 @@ def test_what_is_trained_beats_the_copy_on_its_take_and_refuses_to_learn_from_no
         return
     train_on = [item for item in variants if "0.90" in item.variant_id or "1.10" in item.variant_id]
     models = [train(kind, train_on), train(MODELS["copy"], train_on)]
-    own, copied = (
+    learned, copied = (
         np.mean([model_errors(model.predict(item.request), item.motion_m)["E_r"] for item in variants])
         for model in models
     )
-    assert own < copied
+    assert learned < copied
     with pytest.raises(InputError):
         train(kind, [])
     with pytest.raises(InputError):

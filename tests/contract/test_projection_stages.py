@@ -103,8 +103,8 @@ def test_draws_enter_when_asked_with_all_the_takes_they_come_from(store: Store) 
         rows = random_columns("draws", 2) | {"density": [density] * 2, "take_id": ["a", None]}
         rows["pair17_m"] = drawn_pairs if density == "ic" else -drawn_pairs
         facts = {"takes": ["a", "c"], "density": density, "num_starts": 2 * (density == "repaired")}
-        told = density.replace("repaired", "ic")
-        draws.append(put(store, "chains", density, {"draws": rows}, facts, density=told))
+        sampled = density.replace("repaired", "ic")
+        draws.append(put(store, "chains", density, {"draws": rows}, facts, density=sampled))
     asked = projections.ProjectionsParameters(include_draws=True)
     for given, entering in [(draws, draws[1]), ([draws[0], draws[2]], draws[2])]:
         (shard,) = projections.plan(StageInputs({"draws": given}, seed=0), asked)
@@ -240,9 +240,9 @@ def test_views_that_cannot_be_are_refused_with_the_study(pitches_deg: tuple[floa
 
 def test_parts_of_other_views_or_of_none_make_no_database(store: Store) -> None:
     built = build(store, [put_take(store, "a")])
-    other = build(store, [put_take(store, "b")], settings={"pitches_deg": (1.0,)})
+    of_other_views = build(store, [put_take(store, "b")], settings={"pitches_deg": (1.0,)})
     with pytest.raises(InputError, match="differ in their cameras"):
-        projections.read_database(store, [part.ref for part in (*built, *other)])
+        projections.read_database(store, [part.ref for part in (*built, *of_other_views)])
     with pytest.raises(InputError, match="run its study again"):
         projections.read_cameras([put_take(store, "c")])
 

@@ -70,8 +70,8 @@ def test_what_a_pair_becomes_hangs_on_no_other_shard(repaired: Any) -> None:
     _, given, made = repaired
     again = chains.plan(given, ChainsParameters(**REPAIR))
     assert [shard.key for shard in again] == [manifest.ref.key for manifest in made]
-    other = chains.plan(given, ChainsParameters(**REPAIR, repair_sigma_p=1.0))
-    assert not {shard.key for shard in again} & {shard.key for shard in other}
+    wider = chains.plan(given, ChainsParameters(**REPAIR, repair_sigma_p=1.0))
+    assert not {shard.key for shard in again} & {shard.key for shard in wider}
 
 
 def test_of_a_study_with_repaired_pairs_only_those_are_selected_as_independent_ones(repaired: Any) -> None:

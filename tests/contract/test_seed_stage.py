@@ -88,8 +88,8 @@ def test_pairs_are_filled_in_between_grown_ones_with_their_parents(inputs: Any) 
     parents, weights = np.asarray(filled["filled_from"]), np.asarray(filled["filled_weight"])
     assert set(parents.ravel()) <= set(np.asarray(grown["seed_index"]).tolist())
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
-    own = np.asarray(grown["seed_index"]).tolist().index(parents[0, 0])
-    assert filled["sequence_id"][0] == grown["sequence_id"][own]
+    row = np.asarray(grown["seed_index"]).tolist().index(parents[0, 0])
+    assert filled["sequence_id"][0] == grown["sequence_id"][row]
     assert made[-1].facts["takes"] == made[-2].facts["takes"]
     assert (np.asarray(grown["filled_from"]) == -1).all()
     # Grown pairs stay as they were, and so do the first filled ones, however many are asked for.

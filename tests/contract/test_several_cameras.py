@@ -157,9 +157,9 @@ def test_a_camera_is_one_video(tmp_path: Path) -> None:
     paths = [write_camera(tmp_path / f"{number}.csv", camera) for number, camera in enumerate(seen)]
     cut = [np.full((540, 960, 3), grey, dtype=np.uint8) for grey in (20, 230) for _ in range(30)]
     film = {"path": str(write_film(tmp_path / "film.avi", cut)), "detections": paths[0]}
-    for first, other in (("film", "poses"), ("poses", "film")):
+    for first, second in (("film", "poses"), ("poses", "film")):
         sources = {"poses": {"id": "poses", "path": paths[1]}, "film": {"id": "film", **film}}
-        sources[other]["camera_of"] = first
+        sources[second]["camera_of"] = first
         section = {"duets": [], "annotations": [sources["poses"]]}
         with pytest.raises(InputError, match=r"camera film: one video .* found film\.shot00, film\.shot01; .*has_cuts"):
             planned(**section, videos=[sources["film"]])

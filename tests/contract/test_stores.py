@@ -71,9 +71,9 @@ class StoreTests:
     def test_a_commit_is_found_by_all_and_its_manifest_says_what_it_is(
         self, store: Store, elsewhere: Elsewhere
     ) -> None:
-        told = {"stage": "ingest", "partition": "waltz", "name": "3", "seed": 5, "files": (("a.bvh", "ab"),)}
+        named = {"stage": "ingest", "partition": "waltz", "name": "3", "seed": 5, "files": (("a.bvh", "ab"),)}
         facts = {"takes": ["waltz"], "num_frames": 7}
-        ref = commit_rows(store, "poses", 7, **told, facts=facts, attachments={"note.txt": b"hello"})
+        ref = commit_rows(store, "poses", 7, **named, facts=facts, attachments={"note.txt": b"hello"})
         for place in (store, elsewhere()):
             manifest = place.find("ingest", ref.key)
             assert manifest is not None
@@ -136,9 +136,9 @@ class StoreTests:
     ) -> None:
         ref, found = commit_rows(store, attachments={"note.txt": b"1"}), self.kind.data_file
 
-        def find_late(*told: object) -> Path:
+        def find_late(*wanted: object) -> Path:
             commit_rows(store, attachments={"note.txt": b"2"}, replaces=True)
-            return found(*told)  # type: ignore[arg-type]
+            return found(*wanted)  # type: ignore[arg-type]
 
         monkeypatch.setattr(self.kind, "data_file", find_late)
         with pytest.raises(CorruptArtifact):
@@ -146,8 +146,8 @@ class StoreTests:
 
     def test_a_writer_whose_block_raises_leaves_nothing_behind(self, store: Store, elsewhere: Elsewhere) -> None:
         def broken() -> None:
-            told = {"stage": "judge", "key": "0" * 64, "partition": "p", "name": "n", "version": 1, "parameters": {}}
-            with store.writer(**told, seed=0, inputs=[], files=[]) as writer:  # type: ignore[arg-type]
+            named = {"stage": "judge", "key": "0" * 64, "partition": "p", "name": "n", "version": 1, "parameters": {}}
+            with store.writer(**named, seed=0, inputs=[], files=[]) as writer:  # type: ignore[arg-type]
                 writer.append("scores", random_columns("scores", 3))
                 raise RuntimeError("solver diverged")
 
@@ -162,13 +162,13 @@ class StoreTests:
             commit_rows(store, inputs=(ArtifactRef("ingest", "0" * 64, "0" * 64),))
 
     def test_a_discarded_artifact_is_missing_everywhere(self, store: Store, elsewhere: Elsewhere) -> None:
-        ref, other = commit_rows(store), elsewhere()
+        ref, far = commit_rows(store), elsewhere()
         store.discard(ref)
         store.discard(ref)
         for place in (store, elsewhere()):
             assert place.find(ref.stage, ref.key) is None
-        other.refresh()
-        assert list(other.artifacts()) == []
+        far.refresh()
+        assert list(far.artifacts()) == []
         assert commit_rows(store) == ref
 
     def test_a_damaged_file_is_named_and_dropped_and_a_new_commit_heals_it(self, store: Store) -> None:
@@ -187,12 +187,12 @@ class StoreTests:
             run.write("run.json", {"status": "finished"})
             latest = record_latest(store, "duets", run.run_id, {})
             assert store.can_write()
-        other = elsewhere()
-        assert [record.run_id for record in list_runs(other)] == [run.run_id]
-        assert read_latest(other, "duets") == latest
-        with other.in_use(alone=True):
-            other.remove_folders([other.root / "runs" / run.run_id])
-            other.sweep()
+        far = elsewhere()
+        assert [record.run_id for record in list_runs(far)] == [run.run_id]
+        assert read_latest(far, "duets") == latest
+        with far.in_use(alone=True):
+            far.remove_folders([far.root / "runs" / run.run_id])
+            far.sweep()
         assert list_runs(elsewhere()) == []
 
     def test_a_dataset_is_a_named_list_that_reads_back(self, store: Store, elsewhere: Elsewhere) -> None:
@@ -217,18 +217,18 @@ class StoreTests:
         assert create_dataset(store, "other", refs).version == "1"
 
     def test_a_dataset_is_never_overwritten(self, store: Store, elsewhere: Elsewhere) -> None:
-        refs, other = [commit_rows(store, name=str(number)) for number in range(2)], elsewhere()
+        refs, far = [commit_rows(store, name=str(number)) for number in range(2)], elsewhere()
         made = create_dataset(store, "released", refs, version="1")
         with pytest.raises(DatasetExists, match="released@1 was already made"):
-            create_dataset(other, "released", refs[:1], version="1")
-        assert open_dataset(other, "released@1").digest == open_dataset(store, "released@1").digest == made.digest
+            create_dataset(far, "released", refs[:1], version="1")
+        assert open_dataset(far, "released@1").digest == open_dataset(store, "released@1").digest == made.digest
         assert create_dataset(elsewhere(), "released", refs[:1]).version == "2"
 
     def test_the_digest_of_a_dataset_follows_its_artifacts(self, store: Store) -> None:
         refs = [commit_rows(store, name=str(number)) for number in range(3)]
-        first, same, other = (create_dataset(store, "a", part) for part in (refs, refs, refs[:2]))
+        first, same, shorter = (create_dataset(store, "a", part) for part in (refs, refs, refs[:2]))
         assert first.digest == same.digest
-        assert first.digest != other.digest
+        assert first.digest != shorter.digest
 
     def test_what_cannot_be_a_dataset_is_refused(self, store: Store) -> None:
         refs = [commit_rows(store, name=str(number)) for number in range(3)]

@@ -199,7 +199,7 @@ def test_a_study_file_says_of_a_take_to_retarget_what_its_files_do_not(tmp_path:
 def test_a_partner_whose_names_are_exchanged_is_no_mirror_image(tmp_path: Path) -> None:
     """Where the partner is right the scene is: names are put in order, and nobody moves."""
     rig = RIGS[0]
-    other = {"Left": "Right", "Right": "Left"}
+    exchanging = {"Left": "Right", "Right": "Left"}
     files = [tmp_path / "a.bvh", tmp_path / "b.bvh"]
     files[0].write_text(rig.bvh())
     take = {"id": "walk", "metres_per_unit": 0.01, "files": files}
@@ -212,7 +212,7 @@ def test_a_partner_whose_names_are_exchanged_is_no_mirror_image(tmp_path: Path) 
 
     files[1].write_text(f"{rig.bvh()}\n")
     right, _ = made("right")
-    files[1].write_text(re.sub("Left|Right", lambda found: other[found[0]], rig.bvh()))
+    files[1].write_text(re.sub("Left|Right", lambda side: exchanging[side[0]], rig.bvh()))
     study = tmp_path / "mine.toml"
     said = write_new_study(study, files)
     assert any(line.startswith('in doubt: mirrored = "names": b.bvh: toes and knees') for line in said)

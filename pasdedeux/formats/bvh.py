@@ -43,6 +43,7 @@ _COMMENT = ("#", "//", ";")
 _BEGINNING = re.compile(r"^[ \t]*HIERARCHY(?!\w)", re.IGNORECASE | re.MULTILINE)
 """Beginning of the hierarchy; lines that some programs write before it are skipped."""
 _MOTION = re.compile(r"^[ \t]*MOTION[ \t]*$", re.IGNORECASE)
+_MOTION_AND_MORE = re.compile(r"\bMOTION[ \t]+\S", re.IGNORECASE)
 _MOTION_BYTES = re.compile(rb"\}\s*\n[ \t]*MOTION[ \t\r]*$", re.IGNORECASE | re.MULTILINE)
 """End of the hierarchy, on a line of its own."""
 _FRAME_TIME = re.compile(rb"Frame\s*Time\s*:\s*\S+", re.IGNORECASE)
@@ -222,6 +223,8 @@ class _Joint:
 def _read_hierarchy(lines: Lines) -> BvhHierarchy:
     """Read up to the line MOTION, or all lines of a template; cached, because many files of one rig are read."""
     head = lines.up_to(_MOTION)
+    if _MOTION_AND_MORE.search(head):  # the cache would lose the rest of that line
+        return _parse_hierarchy(lines)
     try:
         hierarchy, lines.number = _known_hierarchy(head, lines.number)
     except FormatError:  # parse again for the line number

@@ -131,7 +131,7 @@ def test_two_people_in_one_file_are_each_themselves(form: str) -> None:
 
 def on_a_line(text: str) -> str:
     tree, _, rows = text.partition("MOTION\n")
-    return " ".join(tree.split()) + "\nMOTION\n" + rows.replace("\n", " ", 2)
+    return " ".join(tree.split()) + " MOTION " + rows.replace("\n", " ", 2)
 
 
 SPELLINGS: dict[str, Callable[[str], str]] = {
@@ -144,7 +144,7 @@ SPELLINGS: dict[str, Callable[[str], str]] = {
     "tabs": lambda text: text.replace(" ", "\t").replace("End\tSite", "End Site").replace("Frame\tTime", "Frame Time"),
     "Windows, braces behind names": lambda text: re.sub(r"\n\s*\{", " {", text).replace("\n", "\r\n"),
     "old Mac": lambda text: text.replace("\n", "\r"),
-    "hierarchy on a line": on_a_line,
+    "hierarchy and MOTION on a line": on_a_line,
     "a comment before": lambda text: f"# written by hand\n// in a hurry\nExported 2024\n\n{text}",
     "comments inside": lambda text: re.sub("(OFFSET|Frames|Frame Time)", r"# a comment\n\1", text),
     "comments behind": lambda text: text.replace("{\n", "{ // a block\n").replace("\n", " # what it is\n", 1),

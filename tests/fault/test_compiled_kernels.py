@@ -21,7 +21,7 @@ import hashlib, sys
 import numpy as np
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.sampling.growth import ViewedImages
-from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+from pasdedeux.sampling.growth_kernels import keep_nearest, place_near_image
 
 def residuals(rng):
     images, is_seen = rng.normal(size=(150, 2, 34)), rng.random((150, 34)) > 0.1
@@ -31,7 +31,7 @@ def residuals(rng):
 def bones(rng):
     out, parents = np.empty((2, 5, 3)), np.arange(-1, 4)
     arrays = (rng.normal(size=(2, 5, 2)), rng.normal(size=(2, 5)), rng.random((2, 5)) + 0.1)
-    place_bones(*arrays, np.arange(5), parents, rng.random((2, 5)) + 0.5, out)
+    place_near_image(*arrays, np.arange(5), parents, rng.random((2, 5)) + 0.5, out)
     return out
 
 def lists(rng):
@@ -56,7 +56,7 @@ def run(script: str, *arguments: str, cache: Path, **environment: str) -> str:
     return subprocess.run(
         [sys.executable, "-c", script, *arguments],
         env={**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
+        stdout=subprocess.PIPE,
         text=True,
         check=True,
     ).stdout

@@ -45,6 +45,6 @@ def bench(
         raise PlanError("benchmarks are not installed: run this command in a checkout (`pip install --editable .`)")
     os.environ.update(worker_environment())
     registry = importlib.import_module("benchmarks.registry")  # imported by name, as it is not installed
-    results = registry.run(stage, lambda text: echo(text, err=True))
+    results = registry.run_benchmarks(stage, lambda text: echo(text, err=True))
     described = [{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results]
     answer(described, registry.table([result for _, result in results]), as_json=as_json)

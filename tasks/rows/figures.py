@@ -12,7 +12,7 @@ from pasdedeux.augmentation import quality
 from pasdedeux.plausibility import capture
 from pasdedeux.sampling import diagnostics
 
-COLUMNS_PATH = Path(__file__).parents[1] / "storage_schema" / "tables" / "figures.jsonl"
+COLUMNS_PATH = Path(__file__).parents[2] / "storage_schema" / "tables" / "figures.jsonl"
 
 _FIGURES = {
     "variant_quality": quality.FIGURES,

@@ -54,7 +54,7 @@ def replace(store: Store) -> str:
 
 def replace_in_two_steps(store: Store) -> str:
     """Do so on a file system that cannot exchange folders."""
-    staging.exchange = lambda folder, target: False
+    staging.exchange_folders = lambda folder, target: False
     return replace(store)
 
 

@@ -132,9 +132,8 @@ def test_film_of_a_variable_rate_is_annotated_on_its_true_times(film: Path, keys
     times = np.r_[0.0, np.cumsum(durations)[:-1]]
     first_person = frames.frame[frames.person_id == 0]
     assert first_person.tolist() == list(range(round(times[19] * 30) + 1))
-    walked = np.interp(
-        first_person / 30.0, times, np.arange(COUNT)
-    )  # frames of the film, which the walker keeps pace with
+    # The walker keeps pace with the frames of the film.
+    walked = np.interp(first_person / 30.0, times, np.arange(COUNT))
     nose = frames.keypoints_px[frames.person_id == 0, 0, 0]
     assert np.abs(nose - np.array([walker_px(0)[0, 0] + 2.0 * at for at in walked])).max() < 3.0
 

@@ -18,9 +18,9 @@ def project_to_bones(
 ) -> Array:
     """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
 
-    The pelvis stays; a bone without direction points up.  With `is_nearest`, all joints first move by the least sum
-    possible to have these lengths, so that length errors do not add up along limbs, and motion with wrong bones comes
-    nearer to the true one.
+    The pelvis stays; a bone without direction points up.  With `is_nearest`, all joints first move to the nearest
+    places with these lengths, so that length errors do not add up along limbs, and motion with wrong bones comes nearer
+    to the true one.
     """
     points = np.array(points, np.float64, order="C")
     if is_nearest:

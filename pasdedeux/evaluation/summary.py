@@ -200,7 +200,7 @@ class Summary:
         return _worst_first(first), _worst_first(others)
 
     def headlines(self) -> list[str]:
-        """Return the last lines of a run: sources, advice, each product, and each failed verdict."""
+        """Return the last lines of a run: the three answers, advice, each product, and each failed verdict."""
         failed = {
             name: verdict for name, verdict in self.verdicts.items() if verdict.level is Level.FAIL or not self.products
         }

@@ -22,15 +22,7 @@ from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.poses2d.yolo import YOLO
 from pasdedeux.formats.rates import rate_from_frame_time
 from pasdedeux.formats.source_motion import SourceMotion
-from pasdedeux.formats.text import (
-    Lines,
-    compare_count,
-    decode,
-    parse_integer,
-    parse_number,
-    parse_numbers,
-    shorten,
-)
+from pasdedeux.formats.text import Lines, compare_count, decode, parse_integer, parse_number, parse_numbers, shorten
 from pasdedeux.plain_text import counted
 from pasdedeux.skeletons import Skeleton
 

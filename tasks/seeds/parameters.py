@@ -55,7 +55,7 @@ class SeedsParameters(PriorSettings, Parameters):
         "where there are no other takes, or nothing grows",
     )
     num_filled: int = Field(
-        0, ge=0, le=1_000_000, description="Pairs drawn between grown ones that are alike, at most; see `fill`"
+        0, ge=0, le=1_000_000, description="Pairs drawn between grown ones that are alike, at most; see `pairs_between`"
     )
     num_starts: int = Field(0, ge=0, le=10_000, description="Grown pairs, drawn from all, from which chains start too")
 

@@ -133,11 +133,14 @@ def test_a_unit_is_told_by_the_bodies_or_by_the_option(folder: Path, tmp_path: P
     assert "m tall by the legs" in wrong["inches"]["reason"]
 
 
+UNIT = {"bvh_metres_per_unit": 0.022}
+
+
 def test_the_npz_beside_an_exported_bvh_states_its_unit(tmp_path: Path) -> None:
     write_waltz(tmp_path, metres_per_unit=0.0254)
-    for path in sorted(tmp_path.glob("*.bvh")):
-        np.savez(path.with_suffix(".npz"), bvh_metres_per_unit=0.022)
-    for options, metres in (((), 0.022), (("--unit", 0.0254), 0.0254)):
+    for unit, options, metres in (({}, (), 0.0254), (UNIT, (), 0.022), (UNIT, ("--unit", 0.0254), 0.0254)):
+        for path in sorted(tmp_path.glob("*.bvh")):
+            np.savez(path.with_suffix(".npz"), **unit)
         _, rows = check(tmp_path, tmp_path, *options)
         (row,) = rows.values()
         assert [person["metres_per_unit"] for person in row["people"]] == pytest.approx([metres] * 2, rel=1e-3)

@@ -1,4 +1,4 @@
-"""Two seconds of real salsa through every stage: people stand where they belong, nothing is mirrored."""
+"""Two seconds of real salsa through every stage: people stand where they belong, nothing is mirrored or leaks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.skeletons import BODY22, OP14
-from storage_schema import open_table
+from storage_schema import Store, open_table
 from tests.builders.real_study import STUDIES, build_here
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
@@ -76,6 +76,13 @@ def test_the_held_out_dancers_are_reconstructed_the_right_way_round(store: Path)
     rows = motions["method"] == last
     moved = motions["op14_m"][rows]
     assert np.mean(moved[:, OP14.index("head"), 1] > moved[:, OP14.index("left_ankle"), 1] + 0.8) > 0.95
+
+
+def test_nothing_is_learned_from_the_held_out_take(store: Path) -> None:
+    learned = {"torso_basis", "joint_limits", "seeds", "draws", "projections", "models"}
+    made = [manifest for manifest in Store(store).artifacts() if learned & {*manifest.tables}]
+    assert learned == {table for manifest in made for table in manifest.tables} & learned
+    assert [manifest.name for manifest in made if "salsa_03" in manifest.facts["takes"]] == []
 
 
 def test_variants_keep_contacts_better_than_plain_kinematics(store: Path) -> None:

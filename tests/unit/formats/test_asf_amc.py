@@ -36,6 +36,7 @@ def test_units_bones_and_ends_are_read() -> None:
         "root", "lowerback", "lowerback_end", "lhipjoint", "lfemur", "ltibia", "ltibia_end",
     )  # fmt: skip
     assert asf.dof[0] == "xyzXYZ"
+    assert read_amc(AMC, asf).rate_hz is None
 
 
 def test_with_all_angles_zero_bones_lie_along_their_directions() -> None:

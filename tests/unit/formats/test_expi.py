@@ -62,7 +62,9 @@ def test_a_take_names_the_file_once_for_each_person(tmp_path: Path, store: Store
     for joint in ("left_wrist", "right_knee", "left_hip", "right_toe"):
         expected = people[:, :, EXPI18.index(joint)].swapaxes(0, 1) + np.array([0.0, floor, 0.0])
         np.testing.assert_allclose(body22[:, :, BODY22.index(joint)], expected, atol=0.01)
-    with pytest.raises(InputError, match=r"take a: mocap_cleaned\.tsv: person 2: it holds 2 people"):
+    with pytest.raises(
+        InputError, match=r"take a: mocap_cleaned\.tsv: person 2: it holds 2 people; the take names it more often"
+    ):
         planned(takes=[take | {"files": [str(path)] * 3}])
 
 

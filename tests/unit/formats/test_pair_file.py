@@ -62,6 +62,7 @@ def joint(value: Any) -> Callable[[dict[str, Any]], None]:
         (joint([0.0, 1.0, float("nan")]), "persons.B.head.2: Input should be a finite number"),
         (joint([0.0, True, 1.0]), "persons.B.head.1: Input should be a valid number"),
         (joint([0.0, 170.0, 0.0]), "person B: the length of the bone to 'head' in metres is .*; allowed: 0.001 to 2"),
+        (wrong(format="other"), "this is no pair: format: Input should be '"),
         (wrong(unit="cm"), "unit: Input should be 'm'"),
         (wrong(skeleton="op14"), "skeleton: Input should be 'pair17'"),
         (wrong(version=2), "version: Input should be 1"),

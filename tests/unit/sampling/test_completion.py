@@ -14,7 +14,7 @@ from pasdedeux.completion.baselines import lift_by_ik, resolve_penetration, samp
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.expected_error import expected_error, expected_over_time
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
-from pasdedeux.completion.in_betweens import fill_between
+from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_by_interaction, nearest_rigid
 from pasdedeux.completion.occlusion import blend_onto, complete_pair
 from pasdedeux.completion.retrieval import image_residual, retrieve
@@ -169,6 +169,7 @@ def test_completing_without_enough_joints_is_refused() -> None:
 
 def test_in_betweens_keep_bone_lengths_and_start_near_the_ends() -> None:
     first, last = PAIRS[0], PAIRS[1]
+    np.testing.assert_allclose(straight_between(first, last, 3)[[0, 1]], [(3 * first + last) / 4, (first + last) / 2])
     between = fill_between(first, last, 5, PAIRS[:300])
     lengths = bone_lengths(PAIR17, np.stack([first, last])).mean(axis=0)
     np.testing.assert_allclose(bone_lengths(PAIR17, between)[:, :, 1:], np.tile(lengths[:, 1:], (5, 1, 1)), atol=1e-9)

@@ -332,7 +332,11 @@ def test_an_artifact_of_a_newer_program_is_refused(store: Store) -> None:
         store.find(ref.stage, ref.key)
 
 
-def test_a_folder_that_is_no_store_is_named(store: Store) -> None:
+def test_what_is_no_store_is_named(store: Store) -> None:
+    store.root.write_text("I am a file")
+    with pytest.raises(StorageError, match=r"is not a store: it is a file, not a folder$"):
+        store.find("seeds", KEY)
+    store.root.unlink()
     store.root.mkdir()
     (store.root / "store.json").write_text("[]")
     with pytest.raises(StorageError, match="is not a store"):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from flows.viewing import table_views
 from flows.viewing.bodies import Bodies, capsules, marks, surface_gap_curve
 from flows.viewing.curves import plot_curves, time_strip
-from flows.viewing.room import _ball, _grid, _surface, across
+from flows.viewing.room import _ball, _grid, _pale, _surface, across
 from flows.viewing.scene import Grid, People
 from flows.viewing.shelf import Shelf
 from flows.viewing.side_picture import PAPER
@@ -43,6 +43,12 @@ def test_every_curve_has_a_colour_of_its_own_and_lies_at_its_height() -> None:
     assert len(set(colours)) == 4
     assert colours[-1] == 1, "the last of them is who is shown"
     assert (image[[127, 85, 43, 22], [320, 320, 320, 400]] == PAPER).all(), "nothing where nothing is known"
+
+
+def test_colours_are_given_darker_for_the_lights_but_for_black_and_white() -> None:
+    black, grey, white = _pale(np.array([0, 100, 255]))
+    assert (black, white) == (0, 255)
+    assert 50 < grey < 80
 
 
 def test_the_figure_is_that_of_the_frame_and_there_is_none_without_curves(viewer: Viewer) -> None:

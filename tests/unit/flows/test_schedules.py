@@ -20,7 +20,10 @@ def test_a_build_gives_signs_of_life_and_sends_no_telemetry(monkeypatch: pytest.
     from flows import schedules
 
     applied: list[Any] = []
-    monkeypatch.setattr(schedules, "get_client", lambda **_: MagicMock())
+    server = MagicMock()
+    client = server.__enter__.return_value
+    client.read_automations_by_name.return_value = [SimpleNamespace(id=7)]
+    monkeypatch.setattr(schedules, "get_client", lambda **_: server)
     monkeypatch.setattr(schedules.RunnerDeployment, "apply", lambda self: applied.append(self))
     parameters = {"study": "duets.toml", "store": "/data/one"}
     schedules.put_deployment("duets", parameters, cron="0 2 * * *", every=None, pool="own")
@@ -29,6 +32,9 @@ def test_a_build_gives_signs_of_life_and_sends_no_telemetry(monkeypatch: pytest.
     assert deployment.description == "Brings duets.toml up to date in /data/one"
     assert [timed.schedule.cron for timed in deployment.schedules] == ["0 2 * * *"]
     assert deployment.job_variables["env"] == {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30", "DO_NOT_TRACK": "1"}
+    ((number, automation), _) = client.update_automation.call_args
+    assert (number, automation.name) == (7, schedules.zombies().name), "what an earlier release made is renewed"
+    client.create_automation.assert_not_called()
 
 
 def test_builds_are_gone_that_gave_no_sign_of_life_for_two_minutes() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.synthetic import random_pairs
 from pasdedeux.plausibility.joint_limits import JointLimits
+from tasks.evaluation.leave_one_out import TOPIC as LEAVE_ONE_OUT
 from tasks.evaluation.sets import TOPIC, judge_set, set_table
 from tasks.stage import Parameters, StageInputs
 from tests.builders.sampling_store import ONE_OF_THE_PRIOR, run_chains, with_seeds
@@ -50,5 +51,11 @@ def test_every_set_is_judged_at_one_size_on_held_out_takes_alone(inputs: Any) ->
     assert set.intersection(*sizes.values()) == {8.0}
     (table,) = set_table(result.scores)
     assert [row[1] for row in table.rows[:6]] == ["8"] * 6
+    (shard,) = LEAVE_ONE_OUT.plan(StageInputs(known, seed=1), Parameters())
+    for found in (result, LEAVE_ONE_OUT.compute(shard, store)):
+        judged = {"real_frames", *found.baselines}
+        means = {name: values.mean() for name, values in found.items[""].values.items() if name in judged}
+        assert len(means) > 1
+        assert min(means, key=means.__getitem__) == "real_frames", "no yardstick fails the truth"
     seen = [take for take in known["poses"] if not take.facts.get("is_held_out")]
     assert TOPIC.plan(StageInputs({**known, "poses": seen}, seed=1), Parameters()) == []

@@ -2,7 +2,7 @@
 
 A choice is about one thing with one content: `reject variants waltz/A-uniform-0.80 3fa9c1d2e4b5 feet slide`.  It
 survives a rebuild that gives the same content; other content is undecided.  A clip of a reconstruction is named by its
-frames, first and last: `reject motions video/fit@120-180 0a12...`.
+frames, first and last: `reject motions video/fit@120-180 0a12...`.  Spaces in a name are written `%20`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote, unquote
 
 import numpy as np
 from pydantic import Field
@@ -59,6 +60,7 @@ CLIPPED = ("motions",)
 SECTION = "curation"
 UNDECIDED = "undecided"
 _CLIP = re.compile(r"(.+)@(\d+)-(\d+)")
+_NOT_IN_A_WORD = re.compile(r"[\s%]")
 _DIGITS = 12
 _HEADER = "# decision table name content reason\n"
 
@@ -95,7 +97,8 @@ class Choice:
     @property
     def line(self) -> str:
         """Return it as a line of the file."""
-        return " ".join(f"{self.decision} {self.about} {self.content} {self.reason}".split())
+        name = _NOT_IN_A_WORD.sub(lambda character: quote(character[0]), self.name)
+        return " ".join(f"{self.decision} {self.table} {name} {self.content} {self.reason}".split())
 
 
 def content_of(values: Any) -> str:
@@ -123,7 +126,7 @@ def read_choices(path: Path) -> dict[str, Choice]:
                 f"{path.name}, line {number}: a choice is '{'|'.join(DECISIONS)} TABLE NAME CONTENT [REASON]', where "
                 f"CONTENT has {_DIGITS} digits and TABLE is one of {', '.join(IDENTITY)}; found '{line[:60]}'"
             )
-        choice = Choice(decision, table, name, content, reason)
+        choice = Choice(decision, table, unquote(name), content, reason)
         choices[choice.about] = choice
     return choices
 

@@ -83,6 +83,14 @@ def test_the_file_is_read_back_and_equal_choices_are_equal_files(tmp_path: Path)
     assert read_choices(tmp_path / "none.txt") == {}
 
 
+@pytest.mark.parametrize("name", ["my dance 1/fit@1-5", "two  spaces/A", "100%/A", "50%20/A", "舞 踏/A", "a\u2028b/A"])
+def test_any_name_is_read_back(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "choices.txt"
+    Choosing(file).decide("reject", "variants", name, "0" * 12, "feet slide")
+    assert read_choices(file) == {f"variants {name}": Choice("reject", "variants", name, "0" * 12, "feet slide")}
+    assert rejections(as_settings(read_choices(file)), "variants") == {name: "0" * 12}
+
+
 def test_a_choice_keeps_the_comments_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "choices.txt"
     file.write_text("# looked at on the large screen\naccept draws a 111111111111\n")

@@ -9,9 +9,10 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from flows.records import last_sections, read_last_run, uncollected
+from flows.records import last_sections, read_last_run
 from flows.staleness import Reasons, StageRecord
 from flows.study import Study
+from pasdedeux.garbage import uncollected
 from pasdedeux.verdict import Verdict
 from storage_schema import Manifest, ShardRecord, Store
 from storage_schema.ancestry import has_lineage

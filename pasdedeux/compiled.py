@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import gc
 import logging
 import os
 import pickle
@@ -15,6 +14,8 @@ from pathlib import Path
 from threading import RLock, Timer
 from types import ModuleType
 from typing import Any
+
+from pasdedeux.garbage import uncollected
 
 _ONE_AT_A_TIME = RLock()
 """Held while kernels replace their declarations, so that no thread calls a kernel before those that it calls."""
@@ -134,7 +135,7 @@ def _compiled_once(function: Callable[..., Any], options: dict[str, Any]) -> Any
         with (
             global_compiler_lock,
             _alone(dispatcher.stats.cache_path, f"{function.__module__}.{function.__qualname__}"),
-            _uncollected(),
+            uncollected(),
         ):
             if files is not None:
                 _drop_old_code(files)
@@ -168,18 +169,6 @@ def _alone(folder: str | None, name: str) -> Iterator[None]:
         if handle is not None:
             _LOCKED.discard(name)
             os.close(handle)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Pause the garbage collector, which takes a seventh of the time of compiling and finds little to free."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def _wait_for(handle: int, name: str) -> None:

@@ -15,8 +15,8 @@ from flows.console.display import cost_lines, plan_lines
 from flows.console.run import with_page
 from flows.costs import estimate_cost, planned_work
 from flows.planning import PlanError, StageSelection, make_plan, refuse_nothing
-from flows.records import uncollected
 from flows.study import load_study
+from pasdedeux.garbage import uncollected
 
 NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
 """Defaults of `plan --cost`."""

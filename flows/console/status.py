@@ -9,7 +9,8 @@ from typing import Any
 from flows.console import options
 from flows.console.context import answer, app, open_store
 from flows.console.display import format_table, manifest_lines, size_text
-from flows.records import describe_runs, last_manifests, last_runs, uncollected
+from flows.records import describe_runs, last_manifests, last_runs
+from pasdedeux.garbage import uncollected
 from pasdedeux.plain_text import counted
 from storage_schema import LatestRun, Manifest, Store
 from storage_schema.references import what_is_wrong

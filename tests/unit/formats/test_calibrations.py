@@ -108,12 +108,12 @@ def test_words_that_all_names_share_do_not_identify_cameras(
 def test_a_lens_with_two_focal_lengths_is_converted_to_one_focal_length_and_back() -> None:
     (plain,) = read_calibration(camera("front").encode())
     distorted = replace(plain, matrix=np.array([[1200.0, 0, 640], [0, 900, 360], [0, 0, 1]]))
-    for one in (distorted, replace(distorted, distortions=np.zeros(0))):
+    for calibrated in (distorted, replace(distorted, distortions=np.zeros(0))):
         ray = np.array([[0.3, 0.2, 1.0]])
-        seen = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), one.matrix, one.distortions)[0][:, 0]
-        straight = one.undistorted_px(seen)
-        np.testing.assert_allclose((straight - [640.0, 360.0]) / one.focal_px, ray[:, :2], atol=1e-4)
-        np.testing.assert_allclose(one.distorted_px(straight), seen, atol=0.1)
+        seen = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), calibrated.matrix, calibrated.distortions)[0][:, 0]
+        straight = calibrated.undistorted_px(seen)
+        np.testing.assert_allclose((straight - [640.0, 360.0]) / calibrated.focal_px, ray[:, :2], atol=1e-4)
+        np.testing.assert_allclose(calibrated.distorted_px(straight), seen, atol=0.1)
 
 
 def test_calibrations_are_of_images_of_any_size_but_one_shape() -> None:
